@@ -1,11 +1,13 @@
 """Selection of the frames whose depth is completed: new parallax, and enough sparse points."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from haustra.core.frame_spacing import closer_where_few
 from haustra.core.se3 import Array
 from pipeline.mapping.submap import Submap
 
@@ -19,8 +21,13 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
     """Rows of the keyframes, of the frames that see enough points.
 
     The first, then each whose shared points moved by more than `motion` image widths (`NEAR_WALL` percentile), or that
-    shares too few points with the last keyframe.
+    shares too few points with the last keyframe; of less motion where the camera hardly moves.
     """
+    return closer_where_few(partial(_apart, submap), motion * width)
+
+
+def _apart(submap: Submap, motion_px: float) -> NDArray[np.int64]:
+    """Rows of the keyframes whose points moved by `motion_px` from one to the next."""
     order, starts = submap.by_frame()
     good = _well_seen(np.diff(starts))
 
@@ -32,7 +39,7 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
     last = seen(chosen[0])
     for row in good[1:].tolist():
         now = seen(row)
-        if is_new_view(*now, *last, motion * width):
+        if is_new_view(*now, *last, motion_px):
             chosen.append(row)
             last = now
     return np.array(chosen)

@@ -7,11 +7,13 @@ rays meet, at an angle.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
+from haustra.core.frame_spacing import closer_where_few
 from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.se3 import Array, inverse
@@ -86,16 +88,22 @@ def _rows(submap: Submap, focal_px: float, motion_px: float) -> tuple[NDArray[np
 
 
 def choose_frames(world_from_camera: Array, depth: float, focal_px: float, motion_px: float) -> NDArray[np.int64]:
-    """Rows of the keyframes: the first, and each whose view at the median depth has moved by `motion_px`.
+    """Rows of the keyframes: the first, and each whose view at the median depth has moved by `motion_px`; by less where
+    the camera hardly moves.
 
     depth: of the wall, in the unit of world_from_camera (N,4,4).
     """
+    return closer_where_few(partial(_apart, world_from_camera, focal_px / depth, focal_px), motion_px)
+
+
+def _apart(world_from_camera: Array, px_per_unit: float, px_per_radian: float, motion_px: float) -> NDArray[np.int64]:
+    """Rows of the frames `motion_px` apart, of a way and of a turn of the camera together."""
     chosen = [0]
     for row in range(1, len(world_from_camera)):
         last, now = world_from_camera[chosen[-1]], world_from_camera[row]
         turned = np.arccos(np.clip((np.trace(last[:3, :3].T @ now[:3, :3]) - 1) / 2, -1, 1))
-        moved = np.linalg.norm(now[:3, 3] - last[:3, 3]) / depth
-        if focal_px * (turned + moved) >= motion_px:
+        moved = np.linalg.norm(now[:3, 3] - last[:3, 3])
+        if px_per_radian * turned + px_per_unit * moved >= motion_px:
             chosen.append(row)
     return np.array(chosen)
 

@@ -12,7 +12,7 @@ from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.threads import prefetched, processors, single_threaded
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.base import FoundSubmap, FrontEndResult
-from pipeline.frontend.odometry.backward_tracking import extend_backwards
+from pipeline.frontend.odometry.backward_tracking import Look, extend_backwards
 from pipeline.frontend.odometry.bridging.depth_clouds import clouds_of
 from pipeline.frontend.odometry.bridging.gap import bridge_maps
 from pipeline.frontend.odometry.chunks import (
@@ -25,6 +25,7 @@ from pipeline.frontend.odometry.chunks import (
     track_chunks,
 )
 from pipeline.frontend.odometry.frame_io import frame_reader
+from pipeline.frontend.odometry.initialization import START_OF_A_STILL_CAMERA, USUAL_START
 from pipeline.frontend.odometry.klt import TrackerImage
 from pipeline.frontend.odometry.scale_breaks import find_break
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
@@ -200,7 +201,8 @@ def _tracked_in_one_go(
     workspace: Workspace,
     progress: Progress,
 ) -> list[LocalMap]:
-    """Frame by frame; then, for maps that began after the film did, backwards from their beginning."""
+    """Frame by frame, and again where no map began; then, for maps that began after the film did, backwards from their
+    beginning."""
     motion, stride, read = settings.odometry.keyframe_motion, settings.stride, frame_reader(workspace)
     odometry = Odometry(rays, settings.seed, stride, motion)
 
@@ -208,8 +210,22 @@ def _tracked_in_one_go(
         rgb, mask = read(index)
         return rgb, odometry.view(rgb, mask)
 
+    maps = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress)
+    if not maps:
+        progress.log(f"no map begins, which takes {USUAL_START}; once more with {START_OF_A_STILL_CAMERA}")
+        odometry = Odometry(rays, settings.seed, stride, motion, START_OF_A_STILL_CAMERA)
+        maps = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress)
+    if all(local_map.keyframes[0].frame == frames.index[0] for local_map in maps):
+        return maps
+    with progress.bar("tracking backwards", None) as advance:
+        return extend_backwards(maps, frames.index, look, stride, motion, settings.seed, advance)[0]
+
+
+def _tracked_forwards(
+    odometry: Odometry, index: list[int], look: Look, features: SiftCache, progress: Progress
+) -> list[LocalMap]:
+    """The maps of frames `index`, in the order of their beginning."""
     started = time.perf_counter()
-    index = frames.index.tolist()
     with progress.bar("odometry", len(index)) as advance:
         for done, (frame, (rgb, view)) in enumerate(zip(index, prefetched(look, index), strict=True), start=1):
             state = odometry.process(frame, rgb, view)
@@ -217,8 +233,4 @@ def _tracked_in_one_go(
                 features.begin(frame)
             pace = done / max(time.perf_counter() - started, 1e-9)
             advance(done, note=f"{state}, submap {odometry.submaps}, {pace:.0f} frames/s")
-    maps = odometry.finish()
-    if all(local_map.keyframes[0].frame == frames.index[0] for local_map in maps):
-        return maps
-    with progress.bar("tracking backwards", None) as advance:
-        return extend_backwards(maps, frames.index, look, stride, motion, settings.seed, advance)[0]
+    return odometry.finish()

@@ -17,13 +17,31 @@ from pipeline.optimization.resection import refine_pose, reprojection_errors, ro
 
 MIN_COMMON = 60  # tracks between the two frames,
 MIN_COMMON_SHARE = 0.4  # and their share of those in the second
-MIN_PARALLAX_PX = 6.4  # some twenty times the error of a track, which does not grow with the image
 REFERENCE_MOTION_SHARE = 0.03  # of the width, after which the reference frame follows
 MIN_FOUND_SHARE = 0.6  # of the reference's tracks; fewer, and the reference frame follows
 MIN_TRACKS = 40  # fewer than this in a frame: what was followed so far is lost
 BUFFER = 240  # frames kept; beyond it every other one is dropped
 MIN_POSED = 12  # points that pose a frame of the buffer
 BETWEEN = 3  # keyframes made between the two
+
+
+@dataclass(frozen=True)
+class StartLimits:
+    """What two frames must show at least before a map begins with them.
+
+    parallax_px: median way of the tracks that no rotation explains; the error of a track, some 0.3 px, does not grow
+    with the image. angle_deg: median angle between the rays of a point.
+    """
+
+    parallax_px: float
+    angle_deg: float
+
+    def __str__(self) -> str:
+        return f"{self.parallax_px:g} px and {self.angle_deg:g} degrees of parallax"
+
+
+USUAL_START = StartLimits(6.4, 1.5)
+START_OF_A_STILL_CAMERA = StartLimits(3.0, 0.7)  # for a film of which the usual limits leave nothing
 
 
 @dataclass(frozen=True)
@@ -38,8 +56,8 @@ class BufferedFrame:
 class Initializer:
     """Collects frames until `process` gives a map with its first keyframes."""
 
-    def __init__(self, rays: RayTable, rng: np.random.Generator) -> None:
-        self.rays, self.rng = rays, rng
+    def __init__(self, rays: RayTable, rng: np.random.Generator, limits: StartLimits = USUAL_START) -> None:
+        self.rays, self.rng, self.limits = rays, rng, limits
         self.tracks = CornerTracks()
         self.buffered: list[BufferedFrame] = []
 
@@ -84,9 +102,10 @@ class Initializer:
             return None
         first, second, third = (self._rays(self.buffered[k], common) for k in (number, -1, middle))
         focal = self.rays.focal_px
-        if parallax_px(first, second, focal) < MIN_PARALLAX_PX:
+        if parallax_px(first, second, focal) < self.limits.parallax_px:
             return None
-        hypothesis = start_pose(first, second, third, self._brightness(common, rgb), focal, self.rng)
+        brightness = self._brightness(common, rgb)
+        hypothesis = start_pose(first, second, third, brightness, focal, self.rng, self.limits.angle_deg)
         return None if hypothesis is None else self._build(number, common, hypothesis)
 
     def _rays(self, buffered: BufferedFrame, common: NDArray[np.int64]) -> TwoViewRays:

@@ -16,7 +16,7 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, angle_between, in_camera, inverse
 from pipeline.config import OdometrySettings
 from pipeline.frontend.odometry.corner_tracks import CornerTracks
-from pipeline.frontend.odometry.initialization import Initializer
+from pipeline.frontend.odometry.initialization import USUAL_START, Initializer, StartLimits
 from pipeline.frontend.odometry.klt import Pixels, TrackerImage, tracker_image
 from pipeline.frontend.odometry.motion_model import MAX_GAP, predicted_pose, velocity_between
 from pipeline.mapping.lighting_check import brightness_of
@@ -201,8 +201,15 @@ class Tracker:
 class Odometry:
     """Feed it frames in order, then ask for the maps."""
 
-    def __init__(self, rays: RayTable, seed: int, stride: int = 1, keyframe_motion: float = KEYFRAME_MOTION) -> None:
-        self.rays, self.stride, self.keyframe_motion = rays, stride, keyframe_motion
+    def __init__(
+        self,
+        rays: RayTable,
+        seed: int,
+        stride: int = 1,
+        keyframe_motion: float = KEYFRAME_MOTION,
+        start: StartLimits = USUAL_START,
+    ) -> None:
+        self.rays, self.stride, self.keyframe_motion, self.start = rays, stride, keyframe_motion, start
         self.rng = np.random.default_rng(seed)
         self.maps: list[LocalMap] = []  # closed ones
         self.tracker: Tracker | None = None
@@ -244,7 +251,7 @@ class Odometry:
             self.lost_frames += 1
             if self.lost_frames > MAX_LOST_FRAMES or steps > MAX_JUMP:
                 self._close()
-        self.initializer = self.initializer or Initializer(self.rays, self.rng)
+        self.initializer = self.initializer or Initializer(self.rays, self.rng, self.start)
         new_map = self.initializer.process(frame, view, rgb)
         if new_map is not None:
             self._close()

@@ -24,7 +24,6 @@ REFINEMENTS = 25  # fewer leave half-converged copies of the best as its rivals
 MIN_POINTS = 30
 MIN_SHARE = 0.6  # of the tracks that all three views must explain
 CLEARLY_WORSE = 0.85  # times the best support: a rival below it is out
-MIN_ANGLE_DEG = 1.5  # median angle between the rays of a point
 MAX_LIGHTING_CORRELATION = 0.1  # rank correlation of distance and brightness above which the lamp says no
 MIN_LIGHTING_MARGIN = 0.2  # difference of that correlation that settles it between two equals
 SAME_ANGLE = np.radians(1.0)
@@ -82,10 +81,12 @@ def start_pose(
     brightness: Array | None,
     focal_px: float,
     rng: np.random.Generator,
+    min_angle_deg: float,
 ) -> Hypothesis | None:
     """The hypothesis that the evidence prefers clearly, or None: ask again when the camera has moved on.
 
-    brightness: (N,) of the tracks in the second view, or None.
+    brightness: (N,) of the tracks in the second view, or None. min_angle_deg: least median angle between the rays of a
+    point.
     """
     if len(first.xy) < MIN_POINTS:
         return None
@@ -98,7 +99,7 @@ def start_pose(
     if not lit:
         return None
     best, most = (max(group, key=lambda h: h.support) for group in (lit, scored))
-    if best.share < MIN_SHARE or best.angle_deg < MIN_ANGLE_DEG or best.support < CLEARLY_WORSE * most.support:
+    if best.share < MIN_SHARE or best.angle_deg < min_angle_deg or best.support < CLEARLY_WORSE * most.support:
         return None
     rivals = [
         h

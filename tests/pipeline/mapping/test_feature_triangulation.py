@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from haustra.core import frame_spacing
+from haustra.core.frame_spacing import LEAST_FRAMES
 from haustra.core.progress import no_progress
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import in_camera, inverse
@@ -138,10 +140,12 @@ def test_the_largest_error_follows_the_films_own_noise_and_not_pairs():
 
 
 def test_keyframes_are_as_far_apart_as_asked():
-    rows = choose_frames(POSES, 20.0, 96.0, 12.0)  # about 8 px a frame, turns included
+    poses = np.stack([camera_at(k, step=1.6) for k in range(80)])
+    rows = choose_frames(poses, 20.0, 96.0, 12.0)  # about 8 px a frame, turns included
     assert rows[0] == 0
-    assert 1 < len(rows) < len(POSES)
-    assert len(choose_frames(POSES, 20.0, 96.0, 0.0)) == len(POSES)
+    assert LEAST_FRAMES < len(rows) < len(poses)
+    assert len(choose_frames(poses, 20.0, 96.0, 0.0)) == len(poses)
+    assert len(choose_frames(poses, 20.0, 96.0, 60.0)) >= LEAST_FRAMES
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +218,8 @@ def test_a_sensor_s_depth_holds_the_points_in_the_submap_s_own_unit(odometry, fo
     assert np.median(off_the_wall(held)) < 0.02
 
 
-def test_which_frames_are_matched_is_known_before_whatever_the_unit(odometry, film):
+def test_which_frames_are_matched_is_known_before_whatever_the_unit(odometry, film, monkeypatch):
+    monkeypatch.setattr(frame_spacing, "LEAST_FRAMES", 3)
     asked = set()
     with SiftCache(lambda frame: (film[frame], MASK)) as find:
         triangulate_again(odometry, CAMERA, 8.0, lambda frame: asked.add(frame) or find(frame), no_progress)

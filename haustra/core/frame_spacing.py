@@ -1,0 +1,23 @@
+"""How far apart frames lie that are chosen from a film by the camera's motion between them."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEAST_FRAMES = 24  # of a film, where it has so many
+HALVINGS = 3  # of the motion between two of them; then they are as near as the frames that are no duplicates
+
+
+def closer_where_few(choose: Callable[[float], NDArray[np.int64]], motion: float) -> NDArray[np.int64]:
+    """The rows of frames that `choose` gives for `motion`; while they are fewer than `LEAST_FRAMES`, for half of it.
+
+    Where a camera hovers, a few frames hold all of its motion: few rays for a point, and few depth maps to average.
+    """
+    rows = choose(motion)
+    for _ in range(HALVINGS):
+        if len(rows) >= LEAST_FRAMES:
+            break
+        motion /= 2
+        rows = choose(motion)
+    return rows
