@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from haustra.core.frame_spacing import HALVINGS, LEAST_FRAMES, closer_where_few
+from haustra.core.frame_spacing import CLOSER, LEAST_FRAMES, MOST_ROUNDS, closer_where_few
 
 
 def film(motion_of_a_frame, frames=200):
@@ -26,7 +26,7 @@ def test_enough_frames_are_left_as_they_are():
 def test_where_the_camera_hardly_moves_they_lie_closer():
     choose, asked = film(motion_of_a_frame=0.1)
     assert len(closer_where_few(choose, 4.0)) >= LEAST_FRAMES
-    assert asked == [4.0, 2.0, 1.0, 0.5][: len(asked)]
+    assert asked == pytest.approx(4.0 * CLOSER ** np.arange(len(asked)))
     assert len(choose(asked[-2])) < LEAST_FRAMES  # no closer than it takes
 
 
@@ -34,4 +34,4 @@ def test_where_the_camera_hardly_moves_they_lie_closer():
 def test_a_camera_that_stands_still_has_no_more_for_it(motion):
     choose, asked = film(motion_of_a_frame=motion or 1e-12)
     assert len(closer_where_few(choose, 4.0)) == 1
-    assert len(asked) == 1 + HALVINGS
+    assert len(asked) == 1 + MOST_ROUNDS
