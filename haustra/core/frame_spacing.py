@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_FRAMES = 24  # of a film, where it has so many
+LEAST_FRAMES = 32  # of a film, where it has so many
 CLOSER = 0.7  # times the motion between two of them
 MOST_ROUNDS = 6  # then it is an eighth; frames that are nearer still are duplicates
 
