@@ -69,7 +69,9 @@ class DepthSettings(Settings):
     """Which frames are completed, and by what."""
 
     keyframe_motion: float = Field(
-        0.045, gt=0, description="share of the width that shared points move by; less where they would be under 32"
+        0.045,
+        gt=0,
+        description="share of the width that shared points move by; less where a submap would have under 32",
     )
     iterations: PositiveInt | None = Field(
         None, description="of the network for each frame, at most as many as it was trained for; None: 2"

@@ -1,24 +1,28 @@
-"""How far apart frames lie that are chosen from a film by the camera's motion between them."""
+"""How far apart frames lie that are chosen by the camera's motion between them."""
 
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_FRAMES = 32  # of a film, where it has so many
-CLOSER = 0.7  # times the motion between two of them
-MOST_ROUNDS = 6  # then it is an eighth; frames that are nearer still are duplicates
+LEAST_FRAMES = 32  # of a submap that has as many
+HALVINGS = 3  # of the motion between two of them; the errors of poses and tracks are no motion
 
 
-def closer_where_few(choose: Callable[[float], NDArray[np.int64]], motion: float) -> NDArray[np.int64]:
-    """The rows of frames that `choose` gives for `motion`; while they are fewer than `LEAST_FRAMES`, for less of it.
+def closer_where_few(choose: Callable[[float], NDArray[np.int64]], motion: float, available: int) -> NDArray[np.int64]:
+    """Rows of the frames that `choose` takes `motion` apart; if those are few, `LEAST_FRAMES` rows, closer together.
 
-    Where a camera hovers, a few frames hold all of its motion: few rays for a point, and few depth maps to average.
+    available: how many there are to choose from. Where a camera hovers, a few frames hold all of its motion: few rays
+    meet in a point then, and there are few depth maps to average.
     """
     rows = choose(motion)
-    for _ in range(MOST_ROUNDS):
-        if len(rows) >= LEAST_FRAMES:
-            break
-        motion *= CLOSER
+    least = min(LEAST_FRAMES, available)
+    if len(rows) >= least:
+        return rows
+    for _ in range(HALVINGS):
+        motion /= 2
         rows = choose(motion)
-    return rows
+        if len(rows) >= least:
+            break
+    evenly = np.linspace(0, len(rows) - 1, min(len(rows), least)).round().astype(np.int64)
+    return rows[evenly]

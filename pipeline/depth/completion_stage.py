@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -58,10 +57,13 @@ def complete_depth(
 def load_completed(frames: Frames, submaps: list[Submap], workspace: Workspace) -> list[CompletedSubmap]:
     """The submaps of a finished stage, with the rows of their completed keyframes."""
     rows = workspace.result(STAGE)["keyframe_rows"]
-    planned = [_plan(frames, submap, workspace.config.depth, workspace) for submap in submaps]
-    for number, one in enumerate(planned):
+    finished = [
+        _planned(frames, submap, np.array(mine, dtype=np.int64), workspace)
+        for submap, mine in zip(submaps, rows, strict=True)
+    ]
+    for number, one in enumerate(finished):
         _check_pinhole(one, camera_path(workspace, number))
-    return [replace(one, rows=np.array(mine, dtype=np.int64)) for one, mine in zip(planned, rows, strict=True)]
+    return finished
 
 
 def _check_pinhole(completed: CompletedSubmap, recorded: Path) -> None:
@@ -81,11 +83,10 @@ def camera_path(workspace: Workspace, number: int) -> Path:
     return workspace.camera if number == 0 else workspace.root / f"camera_{number}.json"
 
 
-def _plan(frames: Frames, submap: Submap, settings: DepthSettings, workspace: Workspace) -> CompletedSubmap:
-    """The submap with the rows of the keyframes that are to be completed."""
-    camera = refined_camera(frames.camera, submap)
-    rows = choose_keyframes(submap, camera.width, settings.keyframe_motion)
-    return CompletedSubmap(submap, make_rectifier(camera), rows, depth_on_disk(workspace))
+def _planned(frames: Frames, submap: Submap, rows: NDArray[np.int64], workspace: Workspace) -> CompletedSubmap:
+    """The submap with `rows` as the keyframes that are completed."""
+    rectifier = make_rectifier(refined_camera(frames.camera, submap))
+    return CompletedSubmap(submap, rectifier, rows, depth_on_disk(workspace))
 
 
 def _complete_all(
@@ -96,10 +97,11 @@ def _complete_all(
     workspace: Workspace,
     progress: Progress,
 ) -> None:
-    planned = [_plan(frames, submap, settings, workspace) for submap in submaps]
+    rows_of = partial(choose_keyframes, width=frames.camera.width, motion=settings.keyframe_motion)
+    planned = [_planned(frames, submap, rows_of(submap), workspace) for submap in submaps]
     store, sensor = DiskKeyframes(workspace, settings.multiview), open_sensor(workspace, frames.camera.width)
-    for number, submap in enumerate(planned):
-        write_json(camera_path(workspace, number), submap.camera.to_dict())
+    for number, one in enumerate(planned):
+        write_json(camera_path(workspace, number), one.camera.to_dict())
     total, done, size = sum(len(submap) for submap in planned), 0, completer.batch_size
     kept: list[list[int]] = []
     with progress.bar("depth completion", total) as advance, freed_memory_kept(), completer.working_side_by_side():

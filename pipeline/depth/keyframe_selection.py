@@ -1,5 +1,6 @@
 """Selection of the frames whose depth is completed: new parallax, and enough sparse points."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -23,11 +24,6 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
     The first, then each whose shared points moved by more than `motion` image widths (`NEAR_WALL` percentile), or that
     shares too few points with the last keyframe; of less motion where the camera hardly moves.
     """
-    return closer_where_few(partial(_apart, submap), motion * width)
-
-
-def _apart(submap: Submap, motion_px: float) -> NDArray[np.int64]:
-    """Rows of the keyframes whose points moved by `motion_px` from one to the next."""
     order, starts = submap.by_frame()
     good = _well_seen(np.diff(starts))
 
@@ -35,9 +31,16 @@ def _apart(submap: Submap, motion_px: float) -> NDArray[np.int64]:
         mine = order[starts[row] : starts[row + 1]]
         return submap.observations[mine, 1], submap.pixels[mine]
 
-    chosen = [int(good[0])]
+    return closer_where_few(partial(_new_views, good, seen), motion * width, len(good))
+
+
+def _new_views(
+    rows: NDArray[np.int64], seen: Callable[[int], tuple[NDArray[np.int32], Array]], motion_px: float
+) -> NDArray[np.int64]:
+    """Of the rows the first, and each that is a new view beside the last one taken. seen: a row's points and pixels."""
+    chosen = [int(rows[0])]
     last = seen(chosen[0])
-    for row in good[1:].tolist():
+    for row in rows[1:].tolist():
         now = seen(row)
         if is_new_view(*now, *last, motion_px):
             chosen.append(row)

@@ -93,11 +93,14 @@ def choose_frames(world_from_camera: Array, depth: float, focal_px: float, motio
 
     depth: of the wall, in the unit of world_from_camera (N,4,4).
     """
-    return closer_where_few(partial(_apart, world_from_camera, focal_px / depth, focal_px), motion_px)
+    apart = partial(_moved_apart, world_from_camera, focal_px / depth, focal_px)
+    return closer_where_few(apart, motion_px, len(world_from_camera))
 
 
-def _apart(world_from_camera: Array, px_per_unit: float, px_per_radian: float, motion_px: float) -> NDArray[np.int64]:
-    """Rows of the frames `motion_px` apart, of a way and of a turn of the camera together."""
+def _moved_apart(
+    world_from_camera: Array, px_per_unit: float, px_per_radian: float, motion_px: float
+) -> NDArray[np.int64]:
+    """Rows of frames of which each is `motion_px` from the one before: its shift and its turn, in pixels, summed."""
     chosen = [0]
     for row in range(1, len(world_from_camera)):
         last, now = world_from_camera[chosen[-1]], world_from_camera[row]

@@ -25,11 +25,11 @@ from pipeline.frontend.odometry.chunks import (
     track_chunks,
 )
 from pipeline.frontend.odometry.frame_io import frame_reader
-from pipeline.frontend.odometry.initialization import START_OF_A_STILL_CAMERA, USUAL_START
-from pipeline.frontend.odometry.klt import TrackerImage
+from pipeline.frontend.odometry.klt import TrackerImage, tracker_image
 from pipeline.frontend.odometry.scale_breaks import find_break
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.tracking import Odometry
+from pipeline.frontend.odometry.two_view import START_WITH_LITTLE_PARALLAX, USUAL_START
 from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.final_adjustment import adjust_maps
@@ -43,6 +43,10 @@ from pipeline.run_folder.malloc import give_back_freed_memory
 from pipeline.run_folder.workspace import Workspace
 
 NAME = "odometry"
+LITTLE_PARALLAX = (
+    f"the camera hardly moves: no two frames have {USUAL_START}; a wall that moves before a camera at rest can look "
+    "the same, so trust path and surface only if the wall stood still"
+)
 KEPT = 3  # keyframes before a cut whose new tracks have their points in the later part alone
 
 
@@ -106,7 +110,7 @@ def track_frames(
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
     with single_threaded():
         started = time.perf_counter()
-        maps, stitching = _tracked(frames, features, settings, workspace, progress)
+        maps, stitching, told = _tracked(frames, features, settings, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
         maps, begun = cut_at_breaks(maps, progress), len(maps)
         give_back_freed_memory()  # the adjustment asks for other arrays
@@ -128,7 +132,7 @@ def track_frames(
         bridged = 0
         if sensor is not None and len(merged) > 1:
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
-        submaps, warnings = submaps_of(merged, camera.params, sigma), (doubt,) if doubt else ()
+        submaps, warnings = submaps_of(merged, camera.params, sigma), tuple(one for one in (told, doubt) if one)
         return Tracked(submaps, rate, len(maps), joins + bridged, stitching, bridged, warnings, len(maps) - begun)
 
 
@@ -180,8 +184,9 @@ def _part(local_map: LocalMap, first: int, end: int, among: NDArray[np.bool_]) -
 
 def _tracked(
     frames: Frames, features: SiftCache, settings: FrontEndSettings, workspace: Workspace, progress: Progress
-) -> tuple[list[LocalMap], Stitching | None]:
-    """Maps as tracking leaves them; and, where the film was tracked in chunks, how these were put together."""
+) -> tuple[list[LocalMap], Stitching | None, str]:
+    """Maps as tracking leaves them; where the film was tracked in chunks, how these were put together; and a warning
+    where maps began with little parallax, else an empty one."""
     rays = ray_table(frames.camera)
     pieces = split(len(frames.index), settings.odometry.chunks)
     if settings.odometry.chunks > 1 and len(pieces) == 1:
@@ -189,8 +194,12 @@ def _tracked(
     if len(pieces) > 1:
         run = local_run(processors()) if settings.odometry.ray is None else ray_run(settings.odometry.ray)
         jobs = jobs_of(frames.index, frames.camera, pieces, settings, workspace)
-        return track_chunks(jobs, rays, run, progress)
-    return _tracked_in_one_go(frames, features, rays, settings, workspace, progress), None
+        maps, stitching = track_chunks(jobs, rays, run, progress)
+        if maps:
+            return maps, stitching, ""
+        progress.log("no map begins in any chunk; the film is tracked in one go")
+    maps, told = _tracked_in_one_go(frames, features, rays, settings, workspace, progress)
+    return maps, None, told
 
 
 def _tracked_in_one_go(
@@ -200,25 +209,29 @@ def _tracked_in_one_go(
     settings: FrontEndSettings,
     workspace: Workspace,
     progress: Progress,
-) -> list[LocalMap]:
-    """Frame by frame, and again where no map began; then, for maps that began after the film did, backwards from their
-    beginning."""
+) -> tuple[list[LocalMap], str]:
+    """Frame by frame, and again where no map began, with a warning then; for maps that began after the film did,
+    backwards from their beginning, too."""
     motion, stride, read = settings.odometry.keyframe_motion, settings.stride, frame_reader(workspace)
     odometry = Odometry(rays, settings.seed, stride, motion)
 
     def look(index: int) -> tuple[NDArray[np.uint8], TrackerImage]:
         rgb, mask = read(index)
-        return rgb, odometry.view(rgb, mask)
+        return rgb, tracker_image(rgb, rays.masked(mask))
 
-    maps = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress)
-    if not maps:
-        progress.log(f"no map begins, which takes {USUAL_START}; once more with {START_OF_A_STILL_CAMERA}")
-        odometry = Odometry(rays, settings.seed, stride, motion, START_OF_A_STILL_CAMERA)
+    maps, told = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress), ""
+    if odometry.begun == 0:
+        progress.log(
+            f"no two frames have {USUAL_START}; the film is tracked once more, and maps begin with "
+            f"{START_WITH_LITTLE_PARALLAX} and points that fit twice as well"
+        )
+        odometry = Odometry(rays, settings.seed, stride, motion, START_WITH_LITTLE_PARALLAX)
         maps = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress)
+        told = LITTLE_PARALLAX if maps else ""
     if all(local_map.keyframes[0].frame == frames.index[0] for local_map in maps):
-        return maps
+        return maps, told
     with progress.bar("tracking backwards", None) as advance:
-        return extend_backwards(maps, frames.index, look, stride, motion, settings.seed, advance)[0]
+        return extend_backwards(maps, frames.index, look, stride, motion, settings.seed, advance)[0], told
 
 
 def _tracked_forwards(

@@ -9,7 +9,14 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, inverse
 from pipeline.frontend.odometry.corner_tracks import CornerTracks
 from pipeline.frontend.odometry.klt import Pixels, TrackerImage
-from pipeline.frontend.odometry.two_view import Hypothesis, TwoViewRays, parallax_px, start_pose
+from pipeline.frontend.odometry.two_view import (
+    USUAL_START,
+    Hypothesis,
+    StartLimits,
+    TwoViewRays,
+    parallax_px,
+    start_pose,
+)
 from pipeline.mapping.lighting_check import brightness_of
 from pipeline.mapping.local_map import LocalMap, TrackedFrame
 from pipeline.mapping.map_adjustment import LOSS_PX, MAX_ERROR_PX, adjust_window
@@ -23,25 +30,6 @@ MIN_TRACKS = 40  # fewer than this in a frame: what was followed so far is lost
 BUFFER = 240  # frames kept; beyond it every other one is dropped
 MIN_POSED = 12  # points that pose a frame of the buffer
 BETWEEN = 3  # keyframes made between the two
-
-
-@dataclass(frozen=True)
-class StartLimits:
-    """What two frames must show at least before a map begins with them.
-
-    parallax_px: median way of the tracks that no rotation explains; the error of a track, some 0.3 px, does not grow
-    with the image. angle_deg: median angle between the rays of a point.
-    """
-
-    parallax_px: float
-    angle_deg: float
-
-    def __str__(self) -> str:
-        return f"{self.parallax_px:g} px and {self.angle_deg:g} degrees of parallax"
-
-
-USUAL_START = StartLimits(6.4, 1.5)
-START_OF_A_STILL_CAMERA = StartLimits(3.0, 0.7)  # for a film of which the usual limits leave nothing
 
 
 @dataclass(frozen=True)
@@ -105,7 +93,7 @@ class Initializer:
         if parallax_px(first, second, focal) < self.limits.parallax_px:
             return None
         brightness = self._brightness(common, rgb)
-        hypothesis = start_pose(first, second, third, brightness, focal, self.rng, self.limits.angle_deg)
+        hypothesis = start_pose(first, second, third, brightness, focal, self.rng, self.limits)
         return None if hypothesis is None else self._build(number, common, hypothesis)
 
     def _rays(self, buffered: BufferedFrame, common: NDArray[np.int64]) -> TwoViewRays:

@@ -16,9 +16,10 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, angle_between, in_camera, inverse
 from pipeline.config import OdometrySettings
 from pipeline.frontend.odometry.corner_tracks import CornerTracks
-from pipeline.frontend.odometry.initialization import USUAL_START, Initializer, StartLimits
+from pipeline.frontend.odometry.initialization import Initializer
 from pipeline.frontend.odometry.klt import Pixels, TrackerImage, tracker_image
 from pipeline.frontend.odometry.motion_model import MAX_GAP, predicted_pose, velocity_between
+from pipeline.frontend.odometry.two_view import USUAL_START, StartLimits
 from pipeline.mapping.lighting_check import brightness_of
 from pipeline.mapping.local_map import WINDOW, LocalMap
 from pipeline.mapping.map_adjustment import LOSS_PX, adjust_window
@@ -212,6 +213,7 @@ class Odometry:
         self.rays, self.stride, self.keyframe_motion, self.start = rays, stride, keyframe_motion, start
         self.rng = np.random.default_rng(seed)
         self.maps: list[LocalMap] = []  # closed ones
+        self.begun = 0  # maps, with those that were too short or that the light contradicted
         self.tracker: Tracker | None = None
         self.initializer: Initializer | None = None
         self.lost_frames = 0  # frames since the tracker last knew
@@ -254,6 +256,7 @@ class Odometry:
         self.initializer = self.initializer or Initializer(self.rays, self.rng, self.start)
         new_map = self.initializer.process(frame, view, rgb)
         if new_map is not None:
+            self.begun += 1
             self._close()
             tracks, motion = self.initializer.tracks, self.keyframe_motion
             self.tracker = Tracker(new_map, tracks, view, frame, self.rng, motion, self.stride)

@@ -17,12 +17,10 @@ from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from pipeline.optimization.resection import refine_pose, reprojection_errors
 from pipeline.optimization.triangulation import triangulate
 
-MAX_ERROR_PX = 1.5
 DRAW_PX = (0.3, 0.5, 0.7, 1.0)  # thresholds of the essential matrices drawn: a wide one lets a tolerable sample win
 FINALISTS = 4
 REFINEMENTS = 25  # fewer leave half-converged copies of the best as its rivals
 MIN_POINTS = 30
-MIN_SHARE = 0.6  # of the tracks that all three views must explain
 CLEARLY_WORSE = 0.85  # times the best support: a rival below it is out
 MAX_LIGHTING_CORRELATION = 0.1  # rank correlation of distance and brightness above which the lamp says no
 MIN_LIGHTING_MARGIN = 0.2  # difference of that correlation that settles it between two equals
@@ -37,6 +35,30 @@ class TwoViewRays:
 
     xy: Array
     jacobian: Array
+
+
+@dataclass(frozen=True)
+class StartLimits:
+    """What two frames must show before a map begins with them.
+
+    parallax_px: least median way of the tracks that no rotation explains. angle_deg: least median angle between the
+    rays of a point. error_px: largest error of a point, in any of three views. share: least, of the tracks that have
+    such points. The error of a track is some 0.3 px, whatever the size of the image.
+    """
+
+    parallax_px: float
+    angle_deg: float
+    error_px: float
+    share: float
+
+    def __str__(self) -> str:
+        return f"{self.parallax_px:g} px and {self.angle_deg:g} degrees of parallax"
+
+
+USUAL_START = StartLimits(6.4, 1.5, 1.5, 0.6)
+# For a film in which no map begins by the usual ones. A wall that moves and a camera that does not can look like little
+# parallax: the less there is, the nearer the points must lie to what is seen, and the more of them.
+START_WITH_LITTLE_PARALLAX = StartLimits(3.0, 0.7, 0.7, 0.9)
 
 
 @dataclass(frozen=True)
@@ -81,25 +103,24 @@ def start_pose(
     brightness: Array | None,
     focal_px: float,
     rng: np.random.Generator,
-    min_angle_deg: float,
+    limits: StartLimits = USUAL_START,
 ) -> Hypothesis | None:
     """The hypothesis that the evidence prefers clearly, or None: ask again when the camera has moved on.
 
-    brightness: (N,) of the tracks in the second view, or None. min_angle_deg: least median angle between the rays of a
-    point.
+    brightness: (N,) of the tracks in the second view, or None.
     """
     if len(first.xy) < MIN_POINTS:
         return None
     scored = [
-        score_hypothesis(second_from_first, first, second, third, brightness)
-        for second_from_first in propose(first, second, focal_px, rng)
+        score_hypothesis(second_from_first, first, second, third, brightness, limits.error_px)
+        for second_from_first in propose(first, second, focal_px, rng, limits.error_px)
     ]
     scored = [h for h in scored if h.inlier.sum() >= MIN_POINTS]
     lit = [h for h in scored if h.lighting <= MAX_LIGHTING_CORRELATION]
     if not lit:
         return None
     best, most = (max(group, key=lambda h: h.support) for group in (lit, scored))
-    if best.share < MIN_SHARE or best.angle_deg < min_angle_deg or best.support < CLEARLY_WORSE * most.support:
+    if best.share < limits.share or best.angle_deg < limits.angle_deg or best.support < CLEARLY_WORSE * most.support:
         return None
     rivals = [
         h
@@ -111,16 +132,17 @@ def start_pose(
     return best
 
 
-def propose(first: TwoViewRays, second: TwoViewRays, focal_px: float, rng: np.random.Generator) -> list[Array]:
+def propose(
+    first: TwoViewRays, second: TwoViewRays, focal_px: float, rng: np.random.Generator, max_error_px: float
+) -> list[Array]:
     """Poses (4x4, second_from_first, |t| = 1) worth a closer look, those with most points in front first."""
     cameras_from_first: list[Array] = []
     for limit in DRAW_PX:
-        cameras_from_first += _from_essential(first.xy, second.xy, limit / focal_px, rng)
+        limit_px = limit * (max_error_px / USUAL_START.error_px)
+        cameras_from_first += _from_essential(first.xy, second.xy, limit_px / focal_px, rng)
     cameras_from_first += _from_homography(first.xy, second.xy, focal_px, rng)
-    counted = sorted(
-        ((_fitting(second_from_first, first, second), k) for k, second_from_first in enumerate(cameras_from_first)),
-        reverse=True,
-    )
+    counts = [_fitting(second_from_first, first, second, max_error_px) for second_from_first in cameras_from_first]
+    counted = sorted(((count, k) for k, count in enumerate(counts)), reverse=True)
     chosen: list[Array] = []
     for count, k in counted:
         if (
@@ -133,18 +155,23 @@ def propose(first: TwoViewRays, second: TwoViewRays, focal_px: float, rng: np.ra
 
 
 def score_hypothesis(
-    second_from_first: Array, first: TwoViewRays, second: TwoViewRays, third: TwoViewRays, brightness: Array | None
+    second_from_first: Array,
+    first: TwoViewRays,
+    second: TwoViewRays,
+    third: TwoViewRays,
+    brightness: Array | None,
+    max_error_px: float,
 ) -> Hypothesis:
     """Refine a pose and its points on two views, then ask the third view and the lamp."""
-    second_from_first, points, error, angle = _refined(second_from_first, first, second)
-    inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
+    second_from_first, points, error, angle = _refined(second_from_first, first, second, max_error_px)
+    inlier = (error < max_error_px) & (points[:, 2] > 0)
     if inlier.sum() < MIN_POINTS:
         return Hypothesis(second_from_first, points, np.zeros(len(points), dtype=bool), 0.0, 0.0, 0.0)
     halfway = share_of(second_from_first, 0.5)
-    middle = refine_pose(halfway, points[inlier], third.xy[inlier], third.jacobian[inlier], MAX_ERROR_PX, iterations=15)
+    middle = refine_pose(halfway, points[inlier], third.xy[inlier], third.jacobian[inlier], max_error_px, iterations=15)
     error = np.maximum(error, reprojection_errors(middle, points, third.xy, third.jacobian))
-    inlier = (error < MAX_ERROR_PX) & (points[:, 2] > 0)
-    support = float(np.where(inlier, 1 - np.minimum(error / MAX_ERROR_PX, 1) ** 2, 0).mean())
+    inlier = (error < max_error_px) & (points[:, 2] > 0)
+    support = float(np.where(inlier, 1 - np.minimum(error / max_error_px, 1) ** 2, 0).mean())
     lighting = 0.0
     if brightness is not None and inlier.sum() >= MIN_CHECKED_POINTS:
         distance = np.linalg.norm(points[inlier] @ second_from_first[:3, :3].T + second_from_first[:3, 3], axis=1)
@@ -153,10 +180,12 @@ def score_hypothesis(
     return Hypothesis(second_from_first, points, inlier, support, angle_deg, lighting)
 
 
-def _refined(second_from_first: Array, first: TwoViewRays, second: TwoViewRays) -> tuple[Array, Array, Array, Array]:
+def _refined(
+    second_from_first: Array, first: TwoViewRays, second: TwoViewRays, max_error_px: float
+) -> tuple[Array, Array, Array, Array]:
     """Pose with |t| = 1, points, worst error and ray angle of each, after adjusting both to the two views."""
     points, error, _ = _triangulated(second_from_first, first, second)
-    take = np.flatnonzero(error < 3 * MAX_ERROR_PX)
+    take = np.flatnonzero(error < 3 * max_error_px)
     if len(take) >= MIN_POINTS:
         count = len(take)
         cameras_from_first = np.stack([np.eye(4), second_from_first])
@@ -167,7 +196,7 @@ def _refined(second_from_first: Array, first: TwoViewRays, second: TwoViewRays) 
             np.concatenate([first.jacobian[take], second.jacobian[take]]),
             np.array([True, False]),
         )  # fmt: skip
-        result = adjust(bundle, REFINEMENTS, MAX_ERROR_PX)
+        result = adjust(bundle, REFINEMENTS, max_error_px)
         second_from_first = compose(result.rotation[1], result.translation[1])
         second_from_first[:3, 3] /= max(float(np.linalg.norm(second_from_first[:3, 3])), 1e-12)
     points, error, angle = _triangulated(second_from_first, first, second)
@@ -184,8 +213,8 @@ def _triangulated(second_from_first: Array, first: TwoViewRays, second: TwoViewR
     )
 
 
-def _fitting(second_from_first: Array, first: TwoViewRays, second: TwoViewRays) -> int:
-    return int((_triangulated(second_from_first, first, second)[1] < MAX_ERROR_PX).sum())
+def _fitting(second_from_first: Array, first: TwoViewRays, second: TwoViewRays, max_error_px: float) -> int:
+    return int((_triangulated(second_from_first, first, second)[1] < max_error_px).sum())
 
 
 def _from_essential(first: Array, second: Array, limit: float, rng: np.random.Generator) -> list[Array]:

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from haustra.core.camera import Camera
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import angle_between, inverse
-from pipeline.frontend.odometry.initialization import USUAL_START
-from pipeline.frontend.odometry.two_view import parallax_px, score_hypothesis, start_pose
+from pipeline.frontend.odometry.two_view import USUAL_START, parallax_px, score_hypothesis, start_pose
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from pipeline.optimization.resection import refine_poses, reprojection_errors, robust_pose
 from pipeline.optimization.triangulation import triangulate
@@ -226,7 +225,7 @@ def starts_right(kind, seed):
     first, third, second = (sight(p, points, rng, 0.2) for p in poses)
     local = points @ poses[2][:3, :3].T + poses[2][:3, 3]
     brightness = 1 / (local**2).sum(axis=1) * rng.uniform(0.8, 1.2, len(points))
-    found = start_pose(first, second, third, brightness, FOCAL, np.random.default_rng(seed), USUAL_START.angle_deg)
+    found = start_pose(first, second, third, brightness, FOCAL, np.random.default_rng(seed))
     if found is None:
         return False
     assert np.degrees(angle_between(found.second_from_first, poses[2])) < 1.0
@@ -242,7 +241,7 @@ def test_a_turning_camera_does_not_start():
     visible = np.all([(np.abs(on_plane(p, points)[0]) < 1).all(1) for p in poses], axis=0)
     first, third, second = (sight(p, points[visible], rng, 0.2) for p in poses)
     assert parallax_px(first, second, FOCAL) < 1.0
-    assert start_pose(first, second, third, None, FOCAL, rng, USUAL_START.angle_deg) is None
+    assert start_pose(first, second, third, None, FOCAL, rng) is None
 
 
 def test_the_lamp_speaks_against_a_world_turned_inside_out():
@@ -253,9 +252,9 @@ def test_the_lamp_speaks_against_a_world_turned_inside_out():
     unit = true.copy()
     unit[:3, 3] /= np.linalg.norm(unit[:3, 3])
     distance = np.linalg.norm(points @ true[:3, :3].T + true[:3, 3], axis=1)
-    assert score_hypothesis(unit, views[0], views[1], views[2], distance**-2.0).lighting < -0.9
-    assert score_hypothesis(unit, views[0], views[1], views[2], distance**2.0).lighting > 0.9
-    assert start_pose(views[0], views[1], views[2], distance**2.0, FOCAL, rng, USUAL_START.angle_deg) is None
+    assert score_hypothesis(unit, views[0], views[1], views[2], distance**-2.0, USUAL_START.error_px).lighting < -0.9
+    assert score_hypothesis(unit, views[0], views[1], views[2], distance**2.0, USUAL_START.error_px).lighting > 0.9
+    assert start_pose(views[0], views[1], views[2], distance**2.0, FOCAL, rng) is None
 
 
 def test_what_a_lens_folds_back_is_not_seen():

@@ -96,7 +96,7 @@ def test_keyframe_motion_reaches_the_tracker_in_one_go_and_in_chunks(tmp_path):
     for motion in (OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION):
         config = Config(odometry=OdometrySettings(keyframe_motion=motion))
         with frame_features(workspace) as features:
-            (whole,), _ = front_end._tracked(frames, features, config.front_end_settings, workspace, SilentProgress())
+            (whole,), *_ = front_end._tracked(frames, features, config.front_end_settings, workspace, SilentProgress())
         (job,) = jobs_of(frames.index, CAMERA, [range(50)], config.front_end_settings, workspace)
         job["output"] = str(tmp_path / "chunks" / "0.npz")
         track(job)
