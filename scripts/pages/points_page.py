@@ -45,9 +45,9 @@ FOOT = """
 ## How it is done
 
 - **Matched anew.** Features of frames 1.2 % of the width apart at the median depth (more of them than odometry has
-  keyframes) are matched where the poses and the points expect them, as in the last adjustment of odometry; but by
-  points that were cleaned first, and without a division of features by their size. COLMAP's own points serve as a
-  start, too.
+  keyframes; closer in a submap that would have fewer than 32, see [hovering.md](hovering.md)) are matched where the
+  poses and the points expect them, as in the last adjustment of odometry; but by points that were cleaned first, and
+  without a division of features by their size. COLMAP's own points serve as a start, too.
 - **Triangulated from the poses alone.** An adjustment that starts where interpolated depth put a feature leaves some of
   them there. An observation that is off by more than twice the median error, and by half as much as the worst of its
   track, is dropped, up to four times; what then does not meet, or at less than 0.6 degrees, is no point. Less than 0.4

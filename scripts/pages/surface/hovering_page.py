@@ -1,0 +1,81 @@
+"""docs/lab/hovering.md from the record hovering.json; the words are in hovering_page.txt.
+
+python -m scripts.pages.surface.hovering_page > docs/lab/hovering.md
+"""
+
+import json
+import statistics
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from benchmarks.common.record import ROOT
+from scripts.pages.completion_page import table
+
+RECORD, WORDS = ROOT / "benchmarks/results/hovering.json", Path(__file__).with_name("hovering_page.txt")
+CHOSEN = ("hover_g", "hover_h", "hover_i", "hover_j")
+VERSIONS = ("before", "now")
+
+
+def rows_of(record: dict[str, Any], version: str) -> dict[str, dict[str, Any]]:
+    """Figures of a version, by film."""
+    mine = [run for run in record["runs"] if run["method"].startswith(f"{version},")]
+    return {run["sequence"]: run for run in mine}
+
+
+def films(record: dict[str, Any]) -> str:
+    """A row for each film and version."""
+    before, now = (rows_of(record, version) for version in VERSIONS)
+    rows = []
+    for film in sorted(now, key=lambda name: (name in CHOSEN, name)):
+        for version, found in zip(VERSIONS, (before[film], now[film]), strict=True):
+            role = "chosen on" if film in CHOSEN else "reported"
+            label = [film, role] if version == "before" else ["", ""]
+            rows.append([*label, version, *_figures(found)])
+    head = ["film", "", "version", "posed", "map of", "ATE (mm)", "F-score (precision, recall), %", "seconds"]
+    return table(head, rows)
+
+
+def _figures(found: dict[str, Any]) -> list[str]:
+    if found["failed"]:
+        return ["none", "", "", "", f"{found['seconds']:.0f}"]
+    surface = [found[f"{one}_percent"] for one in ("f_score", "precision", "recall")]
+    return [
+        f"{found['posed']} of {found['informative']}",
+        {"odometry": "odometry", "sfm": "COLMAP"}[found["front_end"]],
+        f"{found['ate_mean_mm']:.3f}",
+        "{:.1f} ({:.1f}, {:.1f})".format(*surface),
+        f"{found['seconds']:.0f}",
+    ]
+
+
+def change(record: dict[str, Any], chosen: bool) -> str:
+    """Change of the F-score over the films of a role; a film without a map counts as 0."""
+    before, now = (rows_of(record, version) for version in VERSIONS)
+    names = [name for name in now if (name in CHOSEN) == chosen]
+    scores = [[rows[name]["f_score_percent"] or 0.0 for name in names] for rows in (before, now)]
+    gains = [after - earlier for earlier, after in zip(*scores, strict=True)]
+    spread = f"{min(gains):+.1f} to {max(gains):+.1f}"
+    means = " to ".join(f"{statistics.fmean(of):.1f}" for of in scores)
+    return (
+        f"mean F {means} %; change {statistics.median(gains):+.1f} points in the median, "
+        f"{statistics.fmean(gains):+.1f} in the mean ({spread}), {len(names)} films"
+    )
+
+
+def page(record: dict[str, Any]) -> str:
+    before, now = (rows_of(record, version) for version in VERSIONS)
+    commits = [sorted({run["commit"][:7] for run in of.values()}) for of in (before, now)]
+    machine = record["environment"]
+    return Template(WORDS.read_text()).substitute(
+        films=films(record),
+        reported=change(record, chosen=False),
+        chosen=change(record, chosen=True),
+        before=", ".join(commits[0]),
+        now=", ".join(commits[1]),
+        machine=f"{machine['processor']}, {machine['cores']} cores",
+    )
+
+
+if __name__ == "__main__":
+    print(page(json.loads(RECORD.read_text())), end="")
