@@ -44,8 +44,8 @@ from pipeline.run_folder.workspace import Workspace
 
 NAME = "odometry"
 LITTLE_PARALLAX = (
-    f"the camera hardly moves: no two frames have {USUAL_START}; a wall that moves before a camera at rest can look "
-    "the same, so trust path and surface only if the wall stood still"
+    f"no map began with {USUAL_START} between two frames, but with less: a wall that moves before a camera at rest can "
+    "look the same, so trust path and surface only if the wall stood still"
 )
 KEPT = 3  # keyframes before a cut whose new tracks have their points in the later part alone
 
@@ -222,8 +222,8 @@ def _tracked_in_one_go(
     maps, told = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress), ""
     if odometry.begun == 0:
         progress.log(
-            f"no two frames have {USUAL_START}; the film is tracked once more, and maps begin with "
-            f"{START_WITH_LITTLE_PARALLAX} and points that fit twice as well"
+            f"no map begins with {USUAL_START} between two frames; the film is tracked once more, and "
+            f"{START_WITH_LITTLE_PARALLAX} suffice, of points that fit twice as well"
         )
         odometry = Odometry(rays, settings.seed, stride, motion, START_WITH_LITTLE_PARALLAX)
         maps = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress)
