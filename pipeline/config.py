@@ -71,7 +71,7 @@ class DepthSettings(Settings):
     keyframe_motion: float = Field(
         0.045,
         gt=0,
-        description="share of the width that shared points move by; less where a submap would have under 32",
+        description="share of the width that shared points move by; less where a film would have under 32 keyframes",
     )
     iterations: PositiveInt | None = Field(
         None, description="of the network for each frame, at most as many as it was trained for; None: 2"

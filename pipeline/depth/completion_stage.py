@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from haustra.core.camera import read_camera
 from haustra.core.errors import HaustraError
+from haustra.core.frame_spacing import least_of_each
 from haustra.core.progress import Progress
 from haustra.core.text import counted
 from haustra.core.threads import prefetched
@@ -97,8 +98,12 @@ def _complete_all(
     workspace: Workspace,
     progress: Progress,
 ) -> None:
-    rows_of = partial(choose_keyframes, width=frames.camera.width, motion=settings.keyframe_motion)
-    planned = [_planned(frames, submap, rows_of(submap), workspace) for submap in submaps]
+    planned = [
+        _planned(
+            frames, submap, choose_keyframes(submap, frames.camera.width, settings.keyframe_motion, least), workspace
+        )
+        for submap, least in zip(submaps, least_of_each([len(one.frames) for one in submaps]), strict=True)
+    ]
     store, sensor = DiskKeyframes(workspace, settings.multiview), open_sensor(workspace, frames.camera.width)
     for number, one in enumerate(planned):
         write_json(camera_path(workspace, number), one.camera.to_dict())

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from haustra.core.frame_spacing import closer_where_few
+from haustra.core.frame_spacing import LEAST_FRAMES, closer_where_few
 from haustra.core.se3 import Array
 from pipeline.mapping.submap import Submap
 
@@ -18,11 +18,11 @@ AROUND = 10  # frames on either side; a front end may give some frames far more 
 MIN_SHARED = 0.5  # share of a frame's points that the last keyframe also saw; below it the view has changed
 
 
-def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.int64]:
+def choose_keyframes(submap: Submap, width: int, motion: float, least: int = LEAST_FRAMES) -> NDArray[np.int64]:
     """Rows of the keyframes, of the frames that see enough points.
 
     The first, then each whose shared points moved by more than `motion` image widths (`NEAR_WALL` percentile), or that
-    shares too few points with the last keyframe; of less motion where the camera hardly moves.
+    shares too few points with the last keyframe; of less motion where that gives fewer than `least`.
     """
     order, starts = submap.by_frame()
     good = _well_seen(np.diff(starts))
@@ -31,7 +31,7 @@ def choose_keyframes(submap: Submap, width: int, motion: float) -> NDArray[np.in
         mine = order[starts[row] : starts[row + 1]]
         return submap.observations[mine, 1], submap.pixels[mine]
 
-    return closer_where_few(partial(_new_views, good, seen), motion * width, len(good))
+    return closer_where_few(partial(_new_views, good, seen), motion * width, len(good), least)
 
 
 def _new_views(

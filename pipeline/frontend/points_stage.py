@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from haustra.core.frame_spacing import least_of_each
 from haustra.core.progress import Progress
 from haustra.core.threads import single_threaded
 from pipeline.frontend.odometry.frame_io import frame_reader
@@ -88,8 +89,9 @@ def triangulated(
     whose features are matched."""
     depth_at, found = _adjusting_depth(frames, workspace), []
     with single_threaded(), progress.bar("triangulation", None) as advance:
+        least = least_of_each([len(submap.frames) for submap in submaps])
         for number, submap in enumerate(submaps):
-            again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at)
+            again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at, least[number])
             if again is None:
                 progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
             found.append(again or submap)

@@ -10,6 +10,7 @@ import numpy as np
 
 from haustra.core.camera import Camera
 from haustra.core.errors import HaustraError
+from haustra.core.frame_spacing import least_of_each
 from haustra.core.progress import Progress
 from haustra.core.text import counted
 from haustra.core.threads import single_threaded
@@ -178,8 +179,9 @@ def _begin_features(
 ) -> None:
     """Those that the stage `points` will match: a second processor finds them while the maps are judged."""
     motion_px = settings.odometry.keyframe_motion * frames.camera.width
-    for candidate in candidates:
-        for frame in frames_of_features(candidate.submap, frames.camera, motion_px):
+    least = least_of_each([len(candidate.submap.frames) for candidate in candidates])
+    for number, candidate in enumerate(candidates):
+        for frame in frames_of_features(candidate.submap, frames.camera, motion_px, least[number]):
             features.begin(frame)
 
 

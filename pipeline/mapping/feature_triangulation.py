@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
-from haustra.core.frame_spacing import closer_where_few
+from haustra.core.frame_spacing import LEAST_FRAMES, closer_where_few
 from haustra.core.progress import ProgressCallback
 from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.se3 import Array, inverse
@@ -45,15 +45,16 @@ def triangulate_again(
     find: FindFeatures,
     advance: ProgressCallback,
     depth_at: DepthAt | None = None,
+    least: int = LEAST_FRAMES,
 ) -> Submap | None:
     """The submap with the points of its features found anew; poses and points of KLT corners stay. None where the
     poses triangulate too few.
 
-    camera: of the working frames. motion_px: at the median depth, between the frames whose features are matched.
-    depth_at: what a sensor measured, by which the points were adjusted too.
+    camera: of the working frames. motion_px: at the median depth, between the frames whose features are matched; less
+    where these are fewer than `least`. depth_at: what a sensor measured, by which the points were adjusted too.
     """
     rays = ray_table(refined_camera(camera, submap))
-    rows, with_features = _rows(submap, rays.focal_px, motion_px)
+    rows, with_features = _rows(submap, rays.focal_px, motion_px, least)
     if len(rows) == 0:  # no frame sees enough points to lift its features by
         return None
     seed = [map_of_submap(submap, rays, np.union1d(rows, with_features))]
@@ -67,13 +68,13 @@ def triangulate_again(
     return None if found is None else _with_features_of(submap, found.scaled(1 / (scale or 1.0)))
 
 
-def frames_of_features(submap: Submap, camera: Camera, motion_px: float) -> list[int]:
+def frames_of_features(submap: Submap, camera: Camera, motion_px: float, least: int = LEAST_FRAMES) -> list[int]:
     """Numbers of the frames whose features `triangulate_again` will match, with the same arguments."""
-    rows, _ = _rows(submap, refined_camera(camera, submap).focal_px, motion_px)
+    rows, _ = _rows(submap, refined_camera(camera, submap).focal_px, motion_px, least)
     return [int(frame) for frame in submap.frames[rows]]
 
 
-def _rows(submap: Submap, focal_px: float, motion_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _rows(submap: Submap, focal_px: float, motion_px: float, least: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows of the frames whose features are matched, and of all that see features.
 
     Where only some frames see points, as of given poses, these are keyframes already, and all of them are taken.
@@ -83,18 +84,20 @@ def _rows(submap: Submap, focal_px: float, motion_px: float) -> tuple[NDArray[np
     rows = np.flatnonzero(seen >= MIN_SEEN)
     if len(rows) >= MOSTLY_SEEN * len(seen):
         depth = float(np.median(submap.depths()))
-        rows = rows[choose_frames(submap.world_from_camera[rows], depth, focal_px, motion_px)]
+        rows = rows[choose_frames(submap.world_from_camera[rows], depth, focal_px, motion_px, least)]
     return rows, np.unique(submap.observations[feature, 0])
 
 
-def choose_frames(world_from_camera: Array, depth: float, focal_px: float, motion_px: float) -> NDArray[np.int64]:
+def choose_frames(
+    world_from_camera: Array, depth: float, focal_px: float, motion_px: float, least: int = LEAST_FRAMES
+) -> NDArray[np.int64]:
     """Rows of the keyframes: the first, and each whose view at the median depth has moved by `motion_px`; by less where
-    the camera hardly moves.
+    that gives fewer than `least`.
 
     depth: of the wall, in the unit of world_from_camera (N,4,4).
     """
     apart = partial(_moved_apart, world_from_camera, focal_px / depth, focal_px)
-    return closer_where_few(apart, motion_px, len(world_from_camera))
+    return closer_where_few(apart, motion_px, len(world_from_camera), least)
 
 
 def _moved_apart(

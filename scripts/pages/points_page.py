@@ -45,7 +45,7 @@ FOOT = """
 ## How it is done
 
 - **Matched anew.** Features of frames 1.2 % of the width apart at the median depth (more of them than odometry has
-  keyframes; closer in a submap that would have fewer than 32, see [hovering.md](hovering.md)) are matched where the
+  keyframes; closer in a film that would have fewer than 32, see [hovering.md](hovering.md)) are matched where the
   poses and the points expect them, as in the last adjustment of odometry; but by points that were cleaned first, and
   without a division of features by their size. COLMAP's own points serve as a start, too.
 - **Triangulated from the poses alone.** An adjustment that starts where interpolated depth put a feature leaves some of

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from haustra.core import frame_spacing
 from haustra.core.frame_spacing import LEAST_FRAMES
 from haustra.core.progress import no_progress
 from haustra.core.ray_table import RayTable
@@ -218,14 +217,13 @@ def test_a_sensor_s_depth_holds_the_points_in_the_submap_s_own_unit(odometry, fo
     assert np.median(off_the_wall(held)) < 0.02
 
 
-def test_which_frames_are_matched_is_known_before_whatever_the_unit(odometry, film, monkeypatch):
-    monkeypatch.setattr(frame_spacing, "LEAST_FRAMES", 3)
+def test_which_frames_are_matched_is_known_before_whatever_the_unit(odometry, film):
     asked = set()
     with SiftCache(lambda frame: (film[frame], MASK)) as find:
-        triangulate_again(odometry, CAMERA, 8.0, lambda frame: asked.add(frame) or find(frame), no_progress)
+        triangulate_again(odometry, CAMERA, 8.0, lambda frame: asked.add(frame) or find(frame), no_progress, least=3)
     assert 2 < len(asked) < len(film)
     for unit in (1.0, 7.0):
-        assert frames_of_features(odometry.scaled(unit), CAMERA, 8.0) == sorted(asked)
+        assert frames_of_features(odometry.scaled(unit), CAMERA, 8.0, least=3) == sorted(asked)
 
 
 def test_two_runs_agree(odometry, found, film):
