@@ -81,7 +81,7 @@ class KnownPosesFrontEnd:
                 f"{100 * check.inliers:.0f} % of {check.matches} matches lie on their epipolar lines"
             )
             motion = min(settings.odometry.keyframe_motion, MOST_MOTION) * frames.camera.width
-            rows = choose_frames(given, check.depth, rays.focal_px, motion)
+            rows = choose_frames(given, check.depth, rays.focal_px, motion, least=0)
             with progress.bar("triangulation", len(rows)) as advance:
                 local_map = build_map(index[rows].tolist(), given[rows], rays, features, refine, advance)
                 if refine:

@@ -44,8 +44,8 @@ from pipeline.run_folder.workspace import Workspace
 
 NAME = "odometry"
 LITTLE_PARALLAX = (
-    f"no map began with {USUAL_START} between two frames, but with less: a wall that moves before a camera at rest can "
-    "look the same, so trust path and surface only if the wall stood still"
+    f"odometry began its map with less than {USUAL_START} between two frames: a wall that moves before a camera at "
+    "rest can look the same, so trust path and surface only if the wall stood still"
 )
 KEPT = 3  # keyframes before a cut whose new tracks have their points in the later part alone
 
@@ -110,7 +110,7 @@ def track_frames(
     """Pose the stored working frames, then adjust each map; a guessed lens is refined with them."""
     with single_threaded():
         started = time.perf_counter()
-        maps, stitching, told = _tracked(frames, features, settings, workspace, progress)
+        maps, stitching, warning = _tracked(frames, features, settings, workspace, progress)
         rate = len(frames.index) / max(time.perf_counter() - started, 1e-9)
         maps, begun = cut_at_breaks(maps, progress), len(maps)
         give_back_freed_memory()  # the adjustment asks for other arrays
@@ -132,7 +132,7 @@ def track_frames(
         bridged = 0
         if sensor is not None and len(merged) > 1:
             merged, bridged = bridge_maps(merged, clouds_of(sensor, merged[0].rays), features, progress)
-        submaps, warnings = submaps_of(merged, camera.params, sigma), tuple(one for one in (told, doubt) if one)
+        submaps, warnings = submaps_of(merged, camera.params, sigma), tuple(one for one in (warning, doubt) if one)
         return Tracked(submaps, rate, len(maps), joins + bridged, stitching, bridged, warnings, len(maps) - begun)
 
 
@@ -197,9 +197,9 @@ def _tracked(
         maps, stitching = track_chunks(jobs, rays, run, progress)
         if maps:
             return maps, stitching, ""
-        progress.log("no map begins in any chunk; the film is tracked in one go")
-    maps, told = _tracked_in_one_go(frames, features, rays, settings, workspace, progress)
-    return maps, None, told
+        progress.log("no chunk has a map that is kept; the film is tracked in one go")
+    maps, warning = _tracked_in_one_go(frames, features, rays, settings, workspace, progress)
+    return maps, None, warning
 
 
 def _tracked_in_one_go(
@@ -219,7 +219,7 @@ def _tracked_in_one_go(
         rgb, mask = read(index)
         return rgb, tracker_image(rgb, rays.masked(mask))
 
-    maps, told = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress), ""
+    maps, warning = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress), ""
     if odometry.begun == 0:
         progress.log(
             f"no map begins with {USUAL_START} between two frames; the film is tracked once more, and "
@@ -227,11 +227,11 @@ def _tracked_in_one_go(
         )
         odometry = Odometry(rays, settings.seed, stride, motion, START_WITH_LITTLE_PARALLAX)
         maps = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress)
-        told = LITTLE_PARALLAX if maps else ""
+        warning = LITTLE_PARALLAX if maps else ""
     if all(local_map.keyframes[0].frame == frames.index[0] for local_map in maps):
-        return maps, told
+        return maps, warning
     with progress.bar("tracking backwards", None) as advance:
-        return extend_backwards(maps, frames.index, look, stride, motion, settings.seed, advance)[0], told
+        return extend_backwards(maps, frames.index, look, stride, motion, settings.seed, advance)[0], warning
 
 
 def _tracked_forwards(

@@ -30,8 +30,23 @@ def test_where_the_camera_hardly_moves_there_are_so_many_and_no_more(motion_of_a
     before, last = asked[-2:]
     assert len(rows) == LEAST_FRAMES
     assert (np.diff(rows) > 0).all()
-    assert set(rows.tolist()) <= set(choose(last).tolist())
+    assert set(rows.tolist()) <= set(choose(last).tolist()) | set(choose(4.0).tolist())
     assert len(choose(before)) < LEAST_FRAMES  # no closer than it takes
+
+
+def test_no_frame_of_a_part_that_moves_is_given_up_for_one_that_hovers():
+    place = np.concatenate([np.linspace(0, 20, 300), 20 + np.arange(1, 20) * 4.0])
+
+    def choose(motion):
+        chosen = [0]
+        for row in range(1, len(place)):
+            if place[row] - place[chosen[-1]] >= motion:
+                chosen.append(row)
+        return np.array(chosen)
+
+    rows = closer_where_few(choose, 4.0, len(place), LEAST_FRAMES)
+    assert len(choose(4.0)) < len(rows) == LEAST_FRAMES
+    assert set(choose(4.0)) <= set(rows)
 
 
 def test_a_camera_that_stands_still_has_no_more_for_it():
