@@ -98,28 +98,25 @@ def _complete_all(
     workspace: Workspace,
     progress: Progress,
 ) -> None:
-    planned = [
-        _planned(
-            frames, submap, choose_keyframes(submap, frames.camera.width, settings.keyframe_motion, least), workspace
-        )
-        for submap, least in zip(submaps, least_of_each([len(one.frames) for one in submaps]), strict=True)
-    ]
+    width, motion, planned = frames.camera.width, settings.keyframe_motion, []
+    for submap, least in zip(submaps, least_of_each([len(one.frames) for one in submaps]), strict=True):
+        planned.append(_planned(frames, submap, choose_keyframes(submap, width, motion, least), workspace))
     store, sensor = DiskKeyframes(workspace, settings.multiview), open_sensor(workspace, frames.camera.width)
     for number, one in enumerate(planned):
         write_json(camera_path(workspace, number), one.camera.to_dict())
-    total, done, size = sum(len(submap) for submap in planned), 0, completer.batch_size
+    total, done, size = sum(len(one) for one in planned), 0, completer.batch_size
     kept: list[list[int]] = []
     with progress.bar("depth completion", total) as advance, freed_memory_kept(), completer.working_side_by_side():
-        for submap in planned:
+        for one in planned:
             kept.append([])
-            points, content = points_of(submap, frames, sensor, progress), submap.rectifier.mask(frames.content)
-            complete = partial(_complete, submap, points=points, content=content, completer=completer, store=store)
-            batches = [submap.rows[start : start + size].tolist() for start in range(0, len(submap), size)]
+            points, content = points_of(one, frames, sensor, progress), one.rectifier.mask(frames.content)
+            complete = partial(_complete, one, points=points, content=content, completer=completer, store=store)
+            batches = [one.rows[start : start + size].tolist() for start in range(0, len(one), size)]
             for rows in prefetched(complete, batches, completer.at_once, completer.at_once):
                 kept[-1] += [row for row, is_whole in rows if is_whole]
                 done += len(rows)
                 advance(done)
-    workspace.finish(STAGE, keyframe_rows=kept, kept_share=[round(s.rectifier.kept_share, 4) for s in planned])
+    workspace.finish(STAGE, keyframe_rows=kept, kept_share=[round(one.rectifier.kept_share, 4) for one in planned])
     skipped = total - sum(len(rows) for rows in kept)
     progress.log(
         f"{counted(total - skipped, 'keyframe')} completed" + (f", {skipped} had too few points" if skipped else "")

@@ -89,9 +89,9 @@ def triangulated(
     whose features are matched."""
     depth_at, found = _adjusting_depth(frames, workspace), []
     with single_threaded(), progress.bar("triangulation", None) as advance:
-        least = least_of_each([len(submap.frames) for submap in submaps])
-        for number, submap in enumerate(submaps):
-            again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at, least[number])
+        least_of = least_of_each([len(submap.frames) for submap in submaps])
+        for number, (submap, least) in enumerate(zip(submaps, least_of, strict=True)):
+            again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at, least)
             if again is None:
                 progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
             found.append(again or submap)

@@ -179,9 +179,9 @@ def _begin_features(
 ) -> None:
     """Those that the stage `points` will match: a second processor finds them while the maps are judged."""
     motion_px = settings.odometry.keyframe_motion * frames.camera.width
-    least = least_of_each([len(candidate.submap.frames) for candidate in candidates])
-    for number, candidate in enumerate(candidates):
-        for frame in frames_of_features(candidate.submap, frames.camera, motion_px, least[number]):
+    submaps = [candidate.submap for candidate in candidates]
+    for submap, least in zip(submaps, least_of_each([len(one.frames) for one in submaps]), strict=True):
+        for frame in frames_of_features(submap, frames.camera, motion_px, least):
             features.begin(frame)
 
 

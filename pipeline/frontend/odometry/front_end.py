@@ -25,7 +25,7 @@ from pipeline.frontend.odometry.chunks import (
     track_chunks,
 )
 from pipeline.frontend.odometry.frame_io import frame_reader
-from pipeline.frontend.odometry.klt import TrackerImage, tracker_image
+from pipeline.frontend.odometry.klt import TrackerImage
 from pipeline.frontend.odometry.scale_breaks import find_break
 from pipeline.frontend.odometry.self_calibration import refine_intrinsics
 from pipeline.frontend.odometry.tracking import Odometry
@@ -213,20 +213,20 @@ def _tracked_in_one_go(
     """Frame by frame, and again where no map began, with a warning then; for maps that began after the film did,
     backwards from their beginning, too."""
     motion, stride, read = settings.odometry.keyframe_motion, settings.stride, frame_reader(workspace)
-    odometry = Odometry(rays, settings.seed, stride, motion)
+    usual = Odometry(rays, settings.seed, stride, motion)
 
     def look(index: int) -> tuple[NDArray[np.uint8], TrackerImage]:
         rgb, mask = read(index)
-        return rgb, tracker_image(rgb, rays.masked(mask))
+        return rgb, usual.view(rgb, mask)
 
-    maps, warning = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress), ""
-    if odometry.begun == 0:
+    maps, warning = _tracked_forwards(usual, frames.index.tolist(), look, features, progress), ""
+    if usual.begun == 0:
         progress.log(
             f"no map begins with {USUAL_START} between two frames; the film is tracked once more, and "
             f"{START_WITH_LITTLE_PARALLAX} suffice, of points that fit twice as well"
         )
-        odometry = Odometry(rays, settings.seed, stride, motion, START_WITH_LITTLE_PARALLAX)
-        maps = _tracked_forwards(odometry, frames.index.tolist(), look, features, progress)
+        again = Odometry(rays, settings.seed, stride, motion, START_WITH_LITTLE_PARALLAX)
+        maps = _tracked_forwards(again, frames.index.tolist(), look, features, progress)
         warning = LITTLE_PARALLAX if maps else ""
     if all(local_map.keyframes[0].frame == frames.index[0] for local_map in maps):
         return maps, warning

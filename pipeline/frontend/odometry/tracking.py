@@ -208,9 +208,9 @@ class Odometry:
         seed: int,
         stride: int = 1,
         keyframe_motion: float = KEYFRAME_MOTION,
-        start: StartLimits = USUAL_START,
+        limits: StartLimits = USUAL_START,
     ) -> None:
-        self.rays, self.stride, self.keyframe_motion, self.start = rays, stride, keyframe_motion, start
+        self.rays, self.stride, self.keyframe_motion, self.limits = rays, stride, keyframe_motion, limits
         self.rng = np.random.default_rng(seed)
         self.maps: list[LocalMap] = []  # closed ones
         self.begun = 0  # maps, with those that were too short or that the light contradicted
@@ -253,7 +253,7 @@ class Odometry:
             self.lost_frames += 1
             if self.lost_frames > MAX_LOST_FRAMES or steps > MAX_JUMP:
                 self._close()
-        self.initializer = self.initializer or Initializer(self.rays, self.rng, self.start)
+        self.initializer = self.initializer or Initializer(self.rays, self.rng, self.limits)
         new_map = self.initializer.process(frame, view, rgb)
         if new_map is not None:
             self.begun += 1

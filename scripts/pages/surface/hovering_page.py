@@ -63,6 +63,20 @@ def change(record: dict[str, Any], chosen: bool) -> str:
     )
 
 
+def costs(record: dict[str, Any]) -> str:
+    """In how many films the precision falls, by how much, and how much longer a run takes at most."""
+    before, now = (rows_of(record, version) for version in VERSIONS)
+    both = [film for film in now if not before[film]["failed"] and not now[film]["failed"]]
+    change_of = {film: now[film]["precision_percent"] - before[film]["precision_percent"] for film in both}
+    falling = sorted((gain, film) for film, gain in change_of.items() if gain < 0)
+    longest = max(now[film]["seconds"] - before[film]["seconds"] for film in both)
+    (most, film), (least, _) = falling[0], falling[-1]
+    return (
+        f"precision falls in {len(falling)} of {len(both)} films, by {-least:.1f} to {-most:.1f} points (`{film}`), "
+        f"and a run takes up to {longest:.0f} s longer"
+    )
+
+
 def page(record: dict[str, Any]) -> str:
     before, now = (rows_of(record, version) for version in VERSIONS)
     commits = [sorted({run["commit"][:7] for run in of.values()}) for of in (before, now)]
@@ -71,6 +85,7 @@ def page(record: dict[str, Any]) -> str:
         films=films(record),
         reported=change(record, chosen=False),
         chosen=change(record, chosen=True),
+        costs=costs(record),
         before=", ".join(commits[0]),
         now=", ".join(commits[1]),
         machine=f"{machine['processor']}, {machine['cores']} cores",

@@ -30,7 +30,7 @@ def hovering(mm, turn_deg=4.0):
 
 
 def maps_of(images, limits):
-    odometry = Odometry(RayTable(CAMERA), 0, start=limits)
+    odometry = Odometry(RayTable(CAMERA), 0, limits=limits)
     for frame, image in enumerate(images):
         odometry.process(frame, image, odometry.view(image, MASK))
     return odometry.finish()
@@ -72,7 +72,7 @@ def test_a_camera_that_moves_is_tracked_once_and_without_that_warning(tmp_path):
 
 
 def test_a_map_that_the_light_contradicts_gets_no_second_start(tmp_path, monkeypatch):
-    monkeypatch.setattr(Odometry, "_fails_lighting_check", lambda odometry: odometry.start == USUAL_START)
+    monkeypatch.setattr(Odometry, "_fails_lighting_check", lambda odometry: odometry.limits == USUAL_START)
     found = tracked(tmp_path, [render(camera_at(k)) for k in range(30)])
     assert found.submaps == []
     assert found.warnings == ()
