@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.map_doubt.maps import JudgedMap
+from haustra.core.rank_correlation import rank_correlation
 from pipeline.input.frames import Frames
 from pipeline.mapping.map_doubt import PREDICTORS, WRONG_DEG, WRONG_SHARE, MapEvidence, gather_evidence
-from pipeline.mapping.rank_correlation import rank_correlation
 from pipeline.mapping.readjustment import PathDifference, path_difference
 from pipeline.surface.wall_motion import measure_motion
 from reconstruction.evaluation.trajectory_metrics import trajectory_errors

@@ -22,6 +22,7 @@ from haustra.core.camera import Camera
 from haustra.core.progress import ProgressCallback, no_progress
 from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.threads import prefetched
+from pipeline.mapping.pose_adjustment import mean_reprojection
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.matching.patch_alignment import (
     HALF_WIDTH,
@@ -44,7 +45,6 @@ UNSURE_EDGE = 3.0  # times the submap's median of sigma times contrast, above wh
 CHUNK = 1000  # points aligned in one go: some fifty megabytes, mostly pictures
 AT_ONCE = 2  # chunks, each by a thread of its own
 HELD = 128  # frames whose pictures are kept, some twenty megabytes
-SIGHTINGS = 200_000  # projected at once
 PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another frame moves
 NEIGHBOURS, NEIGHBOUR_PX = 14, 15.0  # whose inverse depths have the slope of the wall, and the radius of their weight
 SAME_WALL = 0.3  # relative difference of inverse depth within which a neighbour counts
@@ -92,7 +92,7 @@ def refine_points(
         done += len(mine)
         advance(done, len(order))
     refined = replace(submap, points=points, depth_error=error)
-    error_px = np.where(np.isfinite(error), _mean_reprojection(refined, scene.rays), submap.error_px)
+    error_px = np.where(np.isfinite(error), mean_reprojection(refined, scene.rays), submap.error_px)
     known = np.isfinite(unsure)
     limit = UNSURE_EDGE * np.median(unsure[known]) if known.any() else np.inf
     return replace(refined, error_px=error_px).without_points(unsure > limit)
@@ -102,18 +102,6 @@ def _expected_error(aligned: Alignment) -> Array:
     """(P,) relative error of depth, 1 sigma. The residuals alone say too little of it: what a patch has wrong, its
     slope or an edge in it, is wrong in all views alike. Fitted by maximum likelihood (Student's t of two degrees)."""
     return np.hypot(aligned.sigma * np.hypot(PER_SIGMA, PER_SIGMA_CONTRAST * aligned.contrast), LEAST_ERROR)
-
-
-def _mean_reprojection(submap: Submap, rays: RayTable) -> Array:
-    """(P,) px, of each point over all that see it; infinite where one of these cannot."""
-    total = np.zeros(len(submap.points))
-    for first in range(0, len(submap.observations), SIGHTINGS):
-        frame, point = submap.observations[first : first + SIGHTINGS].T
-        pose = submap.world_from_camera[frame]
-        local = np.einsum("mi,mij->mj", submap.points[point] - pose[:, :3, 3], pose[:, :3, :3])
-        off = np.linalg.norm(rays.project(local) - submap.pixels[first : first + SIGHTINGS], axis=1)
-        total += np.bincount(point, np.nan_to_num(off, nan=np.inf), minlength=len(total))
-    return total / np.maximum(submap.track_lengths(), 1)
 
 
 def _in_frames_of_features(submap: Submap) -> Rows:

@@ -1,8 +1,9 @@
-"""Stage 2b: the points of each submap's features found anew by its poses, which stay, and refined by what the pictures
-show about them; depth is completed from these.
+"""Stage 2b: each submap's features matched between more frames, its poses adjusted to them, their points found anew by
+these poses and refined by what the pictures show about them; depth is completed from these.
 
-The front end's own points are kept beside them: what is judged by their residuals (`map_doubt`, `wall_motion`) was
-calibrated on those, and a point that moved with the wall is an outlier here and evidence there.
+Poses that are given stay, and those that a sensor's depth adjusted. The front end's own poses and points are kept
+beside the new ones: what is judged by their residuals (`map_doubt`, `wall_motion`) was calibrated on those, and a point
+that moved with the wall is an outlier here and evidence there.
 """
 
 import shutil
@@ -15,6 +16,8 @@ from haustra.core.progress import Progress
 from haustra.core.threads import single_threaded
 from pipeline.frontend.odometry.frame_io import frame_reader
 from pipeline.frontend.point_refinement import refine_points
+from pipeline.frontend.registry import POSES
+from pipeline.frontend.structure_stage import front_end_of
 from pipeline.input.frames import Frames
 from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.colmap_io import write_model
@@ -38,7 +41,7 @@ def find_points(
     workspace: Workspace,
     progress: Progress,
 ) -> list[Submap]:
-    """The submaps in the same order and unit; one keeps its points, and a sentence says so, where its poses triangulate
+    """The submaps in the same order and unit; one stays as it is, and a sentence says so, where its poses triangulate
     too few. keyframe_motion: between the frames whose features are matched, as a share of the width."""
     if workspace.is_done(DEPTH_STAGE) and not workspace.is_done(STAGE):  # a run of a version without this stage
         return submaps
@@ -85,13 +88,14 @@ def triangulated(
     workspace: Workspace,
     progress: Progress,
 ) -> list[Submap]:
-    """The submaps with the points that their poses triangulate, before these are refined. motion_px: between the frames
-    whose features are matched."""
+    """The submaps with adjusted poses and the points that these triangulate, before they are refined. motion_px:
+    between the frames whose features are matched."""
     depth_at, found = _adjusting_depth(frames, workspace), []
+    adjust = depth_at is None and front_end_of(workspace) != POSES
     with single_threaded(), progress.bar("triangulation", None) as advance:
         least_of = least_of_each([len(submap.frames) for submap in submaps])
         for number, (submap, least) in enumerate(zip(submaps, least_of, strict=True)):
-            again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at, least)
+            again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at, least, adjust)
             if again is None:
                 progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
             found.append(again or submap)

@@ -1,4 +1,4 @@
-"""Points of SIFT features that the poses alone triangulate.
+"""Points of SIFT features that the poses alone triangulate, and poses that fit all of these features.
 
 A bundle adjustment of many features forgives some that are matched wrongly or seen from too near together: they cost
 its poses nothing, and stay as points that are off by tens of percent. Depth that is completed from them follows them.
@@ -21,6 +21,7 @@ from haustra.core.threads import prefetched
 from pipeline.mapping.local_map import FEATURES, DepthAt, Keyframe, LocalMap
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.mapping.metric_map import make_metric
+from pipeline.mapping.pose_adjustment import adjust_poses
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN, map_of_submap, to_submap
 from pipeline.matching.feature_matching import match_features
@@ -35,6 +36,7 @@ MOSTLY_SEEN = 0.9  # share of the frames that see points where a front end leave
 CHUNK = 2_000  # points triangulated in one go: some twenty megabytes
 AT_ONCE = 2  # chunks, each by a thread of its own
 ROUNDS = 4  # of dropping what a track's other observations contradict
+ADJUSTMENTS = 2  # of the poses, each to the features that the poses before it triangulate
 NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
 
 
@@ -46,9 +48,11 @@ def triangulate_again(
     advance: ProgressCallback,
     depth_at: DepthAt | None = None,
     least: int = LEAST_FRAMES,
+    adjust: bool = False,
 ) -> Submap | None:
-    """The submap with the points of its features found anew; poses and points of KLT corners stay. None where the
-    poses triangulate too few.
+    """The submap with the points of its features found anew. None where the poses triangulate too few.
+
+    adjust: the poses to these features first, and KLT corners with them (`adjust_poses`); else both stay.
 
     camera: of the working frames. motion_px: at the median depth, between the frames whose features are matched; less
     where these are fewer than `least`. depth_at: what a sensor measured, by which the points were adjusted too.
@@ -64,8 +68,29 @@ def triangulate_again(
     chosen = set(submap.frames[rows].tolist())
     seed[0].keyframes = [keyframe for keyframe in seed[0].keyframes if keyframe.frame in chosen]
     # Taken out of the list, the seed is gone before the matches are triangulated: a long film's is large.
-    found = to_submap(match_again(seed.pop(), find, advance), submap.camera_params, refit=False)
+    matched = match_again(seed.pop(), find, advance, rough=adjust)
+    if adjust:
+        submap = _adjusted(submap, matched, advance)
+    found = to_submap(matched, submap.camera_params, refit=False)
     return None if found is None else _with_features_of(submap, found.scaled(1 / (scale or 1.0)))
+
+
+def _adjusted(submap: Submap, matched: LocalMap, advance: ProgressCallback) -> Submap:
+    """`adjust_poses`, more than once; `matched` gets its points by the new poses, of all that was matched: what
+    contradicted the old ones may fit, and what was kept by them is partial to them."""
+    seen = [replace(keyframe) for keyframe in matched.keyframes]
+    for _ in range(ADJUSTMENTS):
+        triangulate_features(matched)
+        fit_points(matched)
+        submap = adjust_poses(submap, matched, advance)
+        matched.keyframes = [
+            replace(before, camera_from_world=now.camera_from_world)
+            for before, now in zip(seen, matched.keyframes, strict=True)
+        ]
+        matched.tracks.rejected[:] = False
+    triangulate_features(matched)
+    fit_points(matched)
+    return submap
 
 
 def frames_of_features(submap: Submap, camera: Camera, motion_px: float, least: int = LEAST_FRAMES) -> list[int]:

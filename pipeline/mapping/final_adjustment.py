@@ -107,26 +107,26 @@ def _adjusted(
     narrow = matched.tracks(world, False, widest)
     ids = local_map.insert_features(narrow, matched.pixels)
     moving = local_map.tracks.is_kind(TrackKind.FEATURE)
-    constrained = _constrained_keyframes(local_map, moving, MIN_TYPICAL_FEATURES, disconnected)
+    constrained = constrained_keyframes(local_map, moving, MIN_TYPICAL_FEATURES, disconnected)
     if constrained is None:
         return False
-    _forget_unconstrained(local_map, moving, constrained)  # so that they move nothing else
+    forget_unconstrained(local_map, moving, constrained)  # so that they move nothing else
     old, before = [keyframe.camera_from_world for keyframe in local_map.keyframes], local_map.tracks.points.copy()
     adjust_all(local_map, True, advance, moving)
-    constrained = _constrained_keyframes(local_map, moving, MIN_TYPICAL_FEATURES / 2, disconnected)
+    constrained = constrained_keyframes(local_map, moving, MIN_TYPICAL_FEATURES / 2, disconnected)
     if constrained is None:
         return False
     sure = moving.copy()
     sure[ids[matched.extrapolated(narrow)]] = False  # guesses say nothing of how the map grew
     scale = _scales(local_map, old, before, sure)
     scale[~constrained] = np.nan
-    _forget_unconstrained(local_map, moving, constrained)
+    forget_unconstrained(local_map, moving, constrained)
     _propagate(local_map, old, scale, moving)
     fit_points(local_map)
     return True
 
 
-def _constrained_keyframes(
+def constrained_keyframes(
     local_map: LocalMap, among: NDArray[np.bool_], typical: float, disconnected: bool
 ) -> NDArray[np.bool_] | None:
     """(K,) mask of the largest connected component of the covisibility graph of the keyframes that see enough of the
@@ -148,7 +148,7 @@ def _constrained_keyframes(
     return constrained if constrained.sum() >= (1 - MAX_FOLLOWING) * len(count) else None
 
 
-def _forget_unconstrained(local_map: LocalMap, moving: NDArray[np.bool_], constrained: NDArray[np.bool_]) -> None:
+def forget_unconstrained(local_map: LocalMap, moving: NDArray[np.bool_], constrained: NDArray[np.bool_]) -> None:
     """Forget points of tracks `moving` (T,) that no constrained keyframe, (K,), sees: nothing ties them to the map."""
     seen = np.asarray(local_map.incidence(moving)[np.flatnonzero(constrained)].sum(axis=0)).ravel() > 0
     local_map.tracks.has_point[moving & ~seen] = False

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.mapping.rank_correlation import rank_correlation
+from haustra.core.rank_correlation import rank_correlation
 from pipeline.mapping.submap import Submap
 
 MIN_POINTS = 15  # fewer do not give a rank correlation worth asking

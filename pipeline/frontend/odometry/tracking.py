@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from haustra.core.rank_correlation import rank_correlation
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array, angle_between, in_camera, inverse
 from pipeline.config import OdometrySettings
@@ -23,7 +24,6 @@ from pipeline.frontend.odometry.two_view import USUAL_START, StartLimits
 from pipeline.mapping.lighting_check import brightness_of
 from pipeline.mapping.local_map import WINDOW, LocalMap
 from pipeline.mapping.map_adjustment import LOSS_PX, adjust_window
-from pipeline.mapping.rank_correlation import rank_correlation
 from pipeline.optimization.resection import refine_pose, reprojection_errors, robust_pose
 
 INLIER_PX = 2.0

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from haustra.core.rank_correlation import rank_correlation
 from haustra.core.se3 import Array, angle_between, compose, share_of
-from pipeline.mapping.rank_correlation import rank_correlation
 from pipeline.optimization.bundle_adjustment import Bundle, adjust
 from pipeline.optimization.resection import refine_pose, reprojection_errors
 from pipeline.optimization.triangulation import triangulate

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
 
-from pipeline.mapping.rank_correlation import rank_correlation
+from haustra.core.rank_correlation import rank_correlation
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 60), st.sampled_from([1, 2, 5, 1000]))
