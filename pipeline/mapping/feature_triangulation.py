@@ -77,11 +77,15 @@ def triangulate_again(
 
 def _adjusted(submap: Submap, matched: LocalMap, advance: ProgressCallback) -> Submap:
     """`adjust_poses`, more than once; `matched` gets its points by the new poses, of all that was matched: what
-    contradicted the old ones may fit, and what was kept by them is partial to them."""
+    contradicted the old ones may fit, and what was kept by them is partial to them. Poses that the front end fitted to
+    as many features stay."""
     seen = [replace(keyframe) for keyframe in matched.keyframes]
-    for _ in range(ADJUSTMENTS):
+    fitted = len(submap.observations) - int(submap.is_klt[submap.observations[:, 1]].sum())
+    for number in range(ADJUSTMENTS):
         triangulate_features(matched)
         fit_points(matched)
+        if number == 0 and matched.incidence(matched.tracks.has_point).nnz <= fitted:
+            return submap
         submap = adjust_poses(submap, matched, advance)
         matched.keyframes = [
             replace(before, camera_from_world=now.camera_from_world)

@@ -121,3 +121,8 @@ def test_few_features_hold_no_pose(odometry):
     for number in range(len(few.keyframes)):
         few.extend(number, ids, np.full((30, 2), 96.0))
     assert adjust_poses(odometry, few, no_progress) is odometry
+
+
+def test_poses_that_were_fitted_to_as_many_features_stay(adjusted, film):
+    fewer = again(adjusted, film, motion_px=12.0)
+    np.testing.assert_array_equal(fewer.world_from_camera, adjusted.world_from_camera)
