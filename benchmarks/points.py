@@ -82,9 +82,10 @@ def figures_of(film: Path, front_end: str) -> dict[str, dict[str, Any]]:
 def _triangulated(made: Run, config: Config) -> list[Submap]:
     motion_px = config.odometry.keyframe_motion * made.frames.camera.width
     with frame_features(made.workspace) as features:
-        return triangulated(
-            made.frames, features, made.submaps_of_front_end, motion_px, made.workspace, SilentProgress()
+        again = triangulated(
+            made.frames, features, made.submaps_of_front_end, motion_px, made.workspace, SilentProgress(), adjust=False
         )
+    return [one.submap for one in again]
 
 
 def with_points(made: Run, submaps: list[Submap], folder: Path) -> None:

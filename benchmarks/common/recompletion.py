@@ -102,7 +102,7 @@ def from_true_poses(film: Path, made: Run) -> CompletedSubmap:
     with frame_features(workspace) as features:
         submap = replace(completed.submap, world_from_camera=poses).without_points(completed.submap.is_klt)
         found = triangulate_again(submap, camera, motion_px, features, no_progress)
-    refined = refine_points(found or submap, camera, frame_reader(workspace))
+    refined = refine_points(submap if found is None else found.submap, camera, frame_reader(workspace))
     moved = replace(completed, submap=refined)
     return completed_from(made, moved, SparseDepthMaker(refined, completed.camera).sparse_depth)
 

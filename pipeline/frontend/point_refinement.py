@@ -22,8 +22,7 @@ from haustra.core.camera import Camera
 from haustra.core.progress import ProgressCallback, no_progress
 from haustra.core.ray_table import RayTable, ray_table
 from haustra.core.threads import prefetched
-from pipeline.mapping.pose_adjustment import mean_reprojection
-from pipeline.mapping.submap import Submap, refined_camera
+from pipeline.mapping.submap import Submap, refined_camera, sighting_errors
 from pipeline.matching.patch_alignment import (
     HALF_WIDTH,
     SEARCH_PX,
@@ -92,7 +91,7 @@ def refine_points(
         done += len(mine)
         advance(done, len(order))
     refined = replace(submap, points=points, depth_error=error)
-    error_px = np.where(np.isfinite(error), mean_reprojection(refined, scene.rays), submap.error_px)
+    error_px = np.where(np.isfinite(error), _mean_reprojection(refined, scene.rays), submap.error_px)
     known = np.isfinite(unsure)
     limit = UNSURE_EDGE * np.median(unsure[known]) if known.any() else np.inf
     return replace(refined, error_px=error_px).without_points(unsure > limit)
@@ -102,6 +101,12 @@ def _expected_error(aligned: Alignment) -> Array:
     """(P,) relative error of depth, 1 sigma. The residuals alone say too little of it: what a patch has wrong, its
     slope or an edge in it, is wrong in all views alike. Fitted by maximum likelihood (Student's t of two degrees)."""
     return np.hypot(aligned.sigma * np.hypot(PER_SIGMA, PER_SIGMA_CONTRAST * aligned.contrast), LEAST_ERROR)
+
+
+def _mean_reprojection(submap: Submap, rays: RayTable) -> Array:
+    """(P,) px, of each point over all that see it; infinite where one of these cannot."""
+    summed = np.bincount(submap.observations[:, 1], sighting_errors(submap, rays), len(submap.points))
+    return summed / np.maximum(submap.track_lengths(), 1)
 
 
 def _in_frames_of_features(submap: Submap) -> Rows:

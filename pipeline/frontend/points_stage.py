@@ -23,6 +23,7 @@ from pipeline.input.sensor.sensor_depth import open_sensor
 from pipeline.mapping.colmap_io import write_model
 from pipeline.mapping.feature_triangulation import triangulate_again
 from pipeline.mapping.local_map import DepthAt
+from pipeline.mapping.pose_adjustment import AdjustedPoses
 from pipeline.mapping.submap import Submap, read_submap
 from pipeline.matching.sift_cache import SiftCache
 from pipeline.run_folder.malloc import give_back_freed_memory
@@ -72,12 +73,13 @@ def _find_all(
 ) -> None:
     for folder in (workspace.depth, workspace.confidence, workspace.first_depth):
         shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without this stage: other points'
-    found = triangulated(frames, features, submaps, motion_px, workspace, progress)
+    adjusted = triangulated(frames, features, submaps, motion_px, workspace, progress)
+    found = [one.submap for one in adjusted]
     give_back_freed_memory()  # patches ask for other arrays
     with single_threaded(), progress.bar("refining points", None) as advance:
         if _adjusting_depth(frames, workspace) is None:  # what a sensor measured holds points better than patches do
             found = [refine_points(one, frames.camera, frame_reader(workspace), advance) for one in found]
-    keep_points(found, frames, workspace)
+    keep_points(found, frames, workspace, [one.turned_deg for one in adjusted])
 
 
 def triangulated(
@@ -87,18 +89,24 @@ def triangulated(
     motion_px: float,
     workspace: Workspace,
     progress: Progress,
-) -> list[Submap]:
+    adjust: bool = True,
+) -> list[AdjustedPoses]:
     """The submaps with adjusted poses and the points that these triangulate, before they are refined. motion_px:
-    between the frames whose features are matched."""
+    between the frames whose features are matched. adjust: False: all poses stay."""
     depth_at, found = _adjusting_depth(frames, workspace), []
-    adjust = depth_at is None and front_end_of(workspace) != POSES
+    adjust = adjust and front_end_of(workspace) != POSES
     with single_threaded(), progress.bar("triangulation", None) as advance:
         least_of = least_of_each([len(submap.frames) for submap in submaps])
         for number, (submap, least) in enumerate(zip(submaps, least_of, strict=True)):
             again = triangulate_again(submap, frames.camera, motion_px, features, advance, depth_at, least, adjust)
             if again is None:
                 progress.log(f"submap {number}: its poses triangulate too few features; it keeps the points it has")
-            found.append(again or submap)
+            elif again.turned_deg > 0:
+                progress.log(
+                    f"submap {number}: its poses were adjusted to the features that are matched by them, and turned "
+                    f"by {again.turned_deg:.2f} degrees in the median"
+                )
+            found.append(again or AdjustedPoses(submap, 0.0))
     return found
 
 
@@ -108,13 +116,17 @@ def _adjusting_depth(frames: Frames, workspace: Workspace) -> DepthAt | None:
     return sensor.for_adjustment if sensor is not None and sensor.settings.adjust else None
 
 
-def keep_points(submaps: list[Submap], frames: Frames, workspace: Workspace) -> None:
-    """Write the submaps as what the stage found, and finish it."""
+def keep_points(
+    submaps: list[Submap], frames: Frames, workspace: Workspace, turned_deg: list[float] | None = None
+) -> None:
+    """Write the submaps as what the stage found, and finish it. turned_deg: of each submap's poses, in the median; 0
+    where they stayed."""
     shutil.rmtree(points_folder(workspace), ignore_errors=True)
     for number, submap in enumerate(submaps):
         write_model(submap, frames.camera, points_folder(workspace) / str(number))
     refined = [int(np.isfinite(submap.known_depth_error).sum()) for submap in submaps]
-    workspace.finish(STAGE, points=[len(submap.points) for submap in submaps], refined=refined)
+    turned = turned_deg or [0.0] * len(submaps)
+    workspace.finish(STAGE, points=[len(submap.points) for submap in submaps], refined=refined, turned_deg=turned)
 
 
 def points_folder(workspace: Workspace) -> Path:

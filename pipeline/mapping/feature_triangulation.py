@@ -21,7 +21,7 @@ from haustra.core.threads import prefetched
 from pipeline.mapping.local_map import FEATURES, DepthAt, Keyframe, LocalMap
 from pipeline.mapping.map_adjustment import fit_points
 from pipeline.mapping.metric_map import make_metric
-from pipeline.mapping.pose_adjustment import adjust_poses
+from pipeline.mapping.pose_adjustment import AdjustedPoses, adjust_poses
 from pipeline.mapping.submap import Submap, refined_camera
 from pipeline.mapping.submap_of_map import MIN_SEEN, map_of_submap, to_submap
 from pipeline.matching.feature_matching import match_features
@@ -36,7 +36,6 @@ MOSTLY_SEEN = 0.9  # share of the frames that see points where a front end leave
 CHUNK = 2_000  # points triangulated in one go: some twenty megabytes
 AT_ONCE = 2  # chunks, each by a thread of its own
 ROUNDS = 4  # of dropping what a track's other observations contradict
-ADJUSTMENTS = 2  # of the poses, each to the features that the poses before it triangulate
 NO_IDS, NO_PIXELS = np.zeros(0, np.int64), np.zeros((0, 2))
 
 
@@ -49,14 +48,16 @@ def triangulate_again(
     depth_at: DepthAt | None = None,
     least: int = LEAST_FRAMES,
     adjust: bool = False,
-) -> Submap | None:
+) -> AdjustedPoses | None:
     """The submap with the points of its features found anew. None where the poses triangulate too few.
 
-    adjust: the poses to these features first, and KLT corners with them (`adjust_poses`); else both stay.
+    adjust: the poses to these features first, and KLT corners with them (`adjust_poses`); else both stay, as they do
+    where a sensor's depth has adjusted them.
 
     camera: of the working frames. motion_px: at the median depth, between the frames whose features are matched; less
     where these are fewer than `least`. depth_at: what a sensor measured, by which the points were adjusted too.
     """
+    adjust = adjust and depth_at is None
     rays = ray_table(refined_camera(camera, submap))
     rows, with_features = _rows(submap, rays.focal_px, motion_px, least)
     if len(rows) == 0:  # no frame sees enough points to lift its features by
@@ -69,32 +70,16 @@ def triangulate_again(
     seed[0].keyframes = [keyframe for keyframe in seed[0].keyframes if keyframe.frame in chosen]
     # Taken out of the list, the seed is gone before the matches are triangulated: a long film's is large.
     matched = match_again(seed.pop(), find, advance, rough=adjust)
-    if adjust:
-        submap = _adjusted(submap, matched, advance)
+    adjusted = adjust_poses(submap, matched, _points_by_poses) if adjust else AdjustedPoses(submap, 0.0)
     found = to_submap(matched, submap.camera_params, refit=False)
-    return None if found is None else _with_features_of(submap, found.scaled(1 / (scale or 1.0)))
+    if found is None:
+        return None
+    return replace(adjusted, submap=_with_features_of(adjusted.submap, found.scaled(1 / (scale or 1.0))))
 
 
-def _adjusted(submap: Submap, matched: LocalMap, advance: ProgressCallback) -> Submap:
-    """`adjust_poses`, more than once; `matched` gets its points by the new poses, of all that was matched: what
-    contradicted the old ones may fit, and what was kept by them is partial to them. Poses that the front end fitted to
-    as many features stay."""
-    seen = [replace(keyframe) for keyframe in matched.keyframes]
-    fitted = len(submap.observations) - int(submap.is_klt[submap.observations[:, 1]].sum())
-    for number in range(ADJUSTMENTS):
-        triangulate_features(matched)
-        fit_points(matched)
-        if number == 0 and matched.incidence(matched.tracks.has_point).nnz <= fitted:
-            return submap
-        submap = adjust_poses(submap, matched, advance)
-        matched.keyframes = [
-            replace(before, camera_from_world=now.camera_from_world)
-            for before, now in zip(seen, matched.keyframes, strict=True)
-        ]
-        matched.tracks.rejected[:] = False
+def _points_by_poses(matched: LocalMap) -> None:
     triangulate_features(matched)
     fit_points(matched)
-    return submap
 
 
 def frames_of_features(submap: Submap, camera: Camera, motion_px: float, least: int = LEAST_FRAMES) -> list[int]:

@@ -110,7 +110,7 @@ def _adjusted(
     constrained = constrained_keyframes(local_map, moving, MIN_TYPICAL_FEATURES, disconnected)
     if constrained is None:
         return False
-    forget_unconstrained(local_map, moving, constrained)  # so that they move nothing else
+    _forget_unconstrained(local_map, moving, constrained)  # so that they move nothing else
     old, before = [keyframe.camera_from_world for keyframe in local_map.keyframes], local_map.tracks.points.copy()
     adjust_all(local_map, True, advance, moving)
     constrained = constrained_keyframes(local_map, moving, MIN_TYPICAL_FEATURES / 2, disconnected)
@@ -120,18 +120,22 @@ def _adjusted(
     sure[ids[matched.extrapolated(narrow)]] = False  # guesses say nothing of how the map grew
     scale = _scales(local_map, old, before, sure)
     scale[~constrained] = np.nan
-    forget_unconstrained(local_map, moving, constrained)
+    _forget_unconstrained(local_map, moving, constrained)
     _propagate(local_map, old, scale, moving)
     fit_points(local_map)
     return True
 
 
 def constrained_keyframes(
-    local_map: LocalMap, among: NDArray[np.bool_], typical: float, disconnected: bool
+    local_map: LocalMap,
+    among: NDArray[np.bool_],
+    typical: float,
+    disconnected: bool,
+    min_covisible: float = MIN_COVISIBLE,
 ) -> NDArray[np.bool_] | None:
     """(K,) mask of the largest connected component of the covisibility graph of the keyframes that see enough of the
-    tracks `among` (T,). None where it is too small, where the median keyframe sees fewer than `typical` of them, and,
-    unless `disconnected`, where there is another component."""
+    tracks `among` (T,); neighbours in it both see `min_covisible` of these. None where it is too small, where the
+    median keyframe sees fewer than `typical` of them, and, unless `disconnected`, where there is another component."""
     if len(local_map.keyframes) < 2:
         return None
     seen = local_map.incidence(among)
@@ -139,7 +143,7 @@ def constrained_keyframes(
     numbers = np.flatnonzero(count >= MIN_SEEN)
     if len(numbers) == 0 or np.median(count) < typical:
         return None
-    covisible = (seen[numbers] @ seen[numbers].T) >= MIN_COVISIBLE
+    covisible = (seen[numbers] @ seen[numbers].T) >= min_covisible
     components, component = connected_components(covisible, directed=False)
     if components > 1 and not disconnected:
         return None
@@ -148,7 +152,7 @@ def constrained_keyframes(
     return constrained if constrained.sum() >= (1 - MAX_FOLLOWING) * len(count) else None
 
 
-def forget_unconstrained(local_map: LocalMap, moving: NDArray[np.bool_], constrained: NDArray[np.bool_]) -> None:
+def _forget_unconstrained(local_map: LocalMap, moving: NDArray[np.bool_], constrained: NDArray[np.bool_]) -> None:
     """Forget points of tracks `moving` (T,) that no constrained keyframe, (K,), sees: nothing ties them to the map."""
     seen = np.asarray(local_map.incidence(moving)[np.flatnonzero(constrained)].sum(axis=0)).ravel() > 0
     local_map.tracks.has_point[moving & ~seen] = False

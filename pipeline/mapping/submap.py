@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from haustra.core.camera import Camera
+from haustra.core.ray_table import RayTable
 
 MIN_FRAMES = 3  # of a submap that is kept
+SIGHTINGS = 200_000  # projected at once
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,19 @@ class Submap:
         world_from_camera = self.world_from_camera.copy()
         world_from_camera[:, :3, 3] *= factor
         return replace(self, world_from_camera=world_from_camera, points=self.points * factor)
+
+
+def sighting_errors(submap: Submap, rays: RayTable) -> NDArray[np.float64]:
+    """(M,) px by which each observation is missed by its point; infinite where the frame cannot see it."""
+    errors = np.zeros(len(submap.observations))
+    for first in range(0, len(errors), SIGHTINGS):
+        part = slice(first, first + SIGHTINGS)
+        frame, point = submap.observations[part].T
+        pose = submap.world_from_camera[frame]
+        local = np.einsum("mi,mij->mj", submap.points[point] - pose[:, :3, 3], pose[:, :3, :3])
+        off = np.linalg.norm(rays.project(local) - submap.pixels[part], axis=1)
+        errors[part] = np.nan_to_num(off, nan=np.inf)
+    return errors
 
 
 def refined_camera(camera: Camera, submap: Submap) -> Camera:

@@ -52,9 +52,10 @@ FOOT = """
   them there. An observation that is off by more than twice the median error, and by half as much as the worst of its
   track, is dropped, up to four times; what then does not meet, or at less than 0.6 degrees, is no point. Less than 0.4
   px is always forgiven.
-- **The poses stay,** and tracked corners are not triangulated anew. The front end's own points judge the map: the
-  probability that it is wrong and the wall's motion are calibrated on their residuals, and a point that moved with
-  the wall is an outlier here and evidence there.
+- **The poses stay here,** and tracked corners are not triangulated anew. (In a run, both are adjusted to these features
+  first, see [pose_adjustment.md](pose_adjustment.md); this benchmark leaves that out.) The front end's own points judge
+  the map: the probability that it is wrong and the wall's motion are calibrated on their residuals, and a point that
+  moved with the wall is an outlier here and evidence there.
 - **Refined by patches** (`pipeline/frontend/point_refinement.py`, `pipeline/matching/patch_alignment.py`). 9x9 pixels
   about a point in the middle one of the frames that see it are compared with up to eight others; the depth along the
   ray is that at which they fit best. The wall about the point is taken for a plane, whose slope is that of the points

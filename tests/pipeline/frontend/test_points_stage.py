@@ -46,6 +46,10 @@ def test_the_front_ends_points_stay_beside_the_new_ones(solved):
     assert len(found[0].points) != len(submaps[0].points)
     assert np.median(found[0].depths()) == pytest.approx(1.0, rel=0.1)  # the unit stays
     assert workspace.result("points")["points"] == [len(found[0].points)]
+    (turned,) = workspace.result("points")["turned_deg"]
+    assert 0 < turned < 1
+    assert not np.array_equal(found[0].world_from_camera, submaps[0].world_from_camera)
+    np.testing.assert_array_equal(load_structure(workspace)[0].world_from_camera, submaps[0].world_from_camera)
     for again in (found_by(workspace, frames, submaps), load_points(submaps, workspace)):
         np.testing.assert_array_equal(again[0].points, found[0].points)
         np.testing.assert_array_equal(again[0].observations, found[0].observations)
