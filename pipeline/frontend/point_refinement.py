@@ -94,7 +94,8 @@ def refine_points(
     error_px = np.where(np.isfinite(error), _mean_reprojection(refined, scene.rays), submap.error_px)
     known = np.isfinite(unsure)
     limit = UNSURE_EDGE * np.median(unsure[known]) if known.any() else np.inf
-    return replace(refined, error_px=error_px).without_points(unsure > limit)
+    contradicted = ~np.isfinite(error_px)  # moved to where a frame that saw it cannot
+    return replace(refined, error_px=error_px).without_points((unsure > limit) | contradicted)
 
 
 def _expected_error(aligned: Alignment) -> Array:

@@ -99,6 +99,23 @@ def _kept(before, after):
     return [number[name] for name in tracks(after)[1]]
 
 
+def test_a_point_that_one_of_its_frames_cannot_see_is_dropped(pictures):
+    """A frame that looks back is said to see every tenth point: COLMAP reads no model with an infinite error."""
+    submap = true_submap()
+    backwards = POSES[-1] @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    told = np.arange(0, len(submap.points), 10)
+    wrong = replace(
+        submap,
+        frames=np.arange(COUNT + 1),
+        world_from_camera=np.concatenate([POSES, backwards[None]]),
+        observations=np.concatenate([submap.observations, np.column_stack([np.full(len(told), COUNT), told])]),
+        pixels=np.concatenate([submap.pixels, np.full((len(told), 2), 96.0)]),
+    )
+    found = refined(wrong, [*pictures, pictures[-1]])
+    assert np.isfinite(found.error_px).all()
+    assert np.isfinite(found.depth_error).any()
+
+
 def test_poses_observations_and_the_unit_stay(pictures):
     submap, _ = displaced(true_submap(), np.random.default_rng(1))
     found = refined(submap, pictures)
