@@ -78,7 +78,7 @@ def run_figures(film: Path, arguments: argparse.Namespace) -> dict[str, Any]:
             return missing | {"failed": f"not finished in {arguments.limit_s:.0f} s"}
         seconds = time.perf_counter() - begun
         if done.returncode != 0:
-            said = " ".join(done.stderr.split())[-300:]
+            said = f"exit code {done.returncode}: " + " ".join(done.stderr.split())[-300:]
             return dict.fromkeys(NOT_MEASURED, None) | {"seconds": seconds, "failed": said}
         return measured(output, film) | {"seconds": seconds, "failed": None}
 
