@@ -47,21 +47,20 @@ def adjust_poses(submap: Submap, matched: LocalMap, triangulate: Callable[[Local
     """
     seen, found = matched.keyframes, submap
     fitted = len(submap.observations) - int(submap.is_klt[submap.observations[:, 1]].sum())
-    matched.keyframes = [replace(keyframe) for keyframe in seen]
-    triangulate(matched)
+
+    def see_all_at(poses: Submap) -> None:
+        matched.keyframes = _at_poses_of(poses, seen)
+        matched.tracks.rejected[:] = False
+        triangulate(matched)
+
+    see_all_at(submap)
     usable = matched.incidence().nnz > fitted and len(seen) <= MOST_FRAMES
     for _ in range(ADJUSTMENTS * usable):
         adjusted = _adjusted_once(found, matched)
+        found = adjusted or found
+        see_all_at(found)  # one that is refused has moved and dropped some as well
         if adjusted is None:
             break
-        found = adjusted
-        matched.keyframes = _at_poses_of(found, seen)
-        matched.tracks.rejected[:] = False
-        triangulate(matched)
-    if found is submap and usable:  # an adjustment that was refused has dropped some
-        matched.keyframes = _at_poses_of(submap, seen)
-        matched.tracks.rejected[:] = False
-        triangulate(matched)
     pairs = zip(found.world_from_camera, submap.world_from_camera, strict=True)
     return AdjustedPoses(found, float(np.degrees(np.median([angle_between(new, old) for new, old in pairs]))))
 

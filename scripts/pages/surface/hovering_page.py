@@ -39,14 +39,18 @@ def films(record: dict[str, Any]) -> str:
 def _figures(found: dict[str, Any]) -> list[str]:
     if found["failed"]:
         return ["none", "", "", "", f"{found['seconds']:.0f}"]
-    surface = [found[f"{one}_percent"] for one in ("f_score", "precision", "recall")]
     return [
         f"{found['posed']} of {found['informative']}",
         {"odometry": "odometry", "sfm": "COLMAP"}[found["front_end"]],
         f"{found['ate_mean_mm']:.3f}",
-        "{:.1f} ({:.1f}, {:.1f})".format(*surface),
+        surface_of(found),
         f"{found['seconds']:.0f}",
     ]
+
+
+def surface_of(found: dict[str, Any]) -> str:
+    """F-score, precision and recall of a run, %."""
+    return "{:.1f} ({:.1f}, {:.1f})".format(*(found[f"{one}_percent"] for one in ("f_score", "precision", "recall")))
 
 
 def change(record: dict[str, Any], chosen: bool) -> str:
@@ -55,12 +59,14 @@ def change(record: dict[str, Any], chosen: bool) -> str:
     names = [name for name in now if (name in CHOSEN) == chosen]
     scores = [[rows[name]["f_score_percent"] or 0.0 for name in names] for rows in (before, now)]
     gains = [after - earlier for earlier, after in zip(*scores, strict=True)]
-    spread = f"{min(gains):+.1f} to {max(gains):+.1f}"
     means = " to ".join(f"{statistics.fmean(of):.1f}" for of in scores)
-    return (
-        f"mean F {means} %; change {statistics.median(gains):+.1f} points in the median, "
-        f"{statistics.fmean(gains):+.1f} in the mean ({spread}), {len(names)} films"
-    )
+    spread = f"{min(gains):+.1f} to {max(gains):+.1f}"
+    return f"mean F {means} %; change {middle_of(gains)} ({spread}), {len(names)} films"
+
+
+def middle_of(gains: list[float]) -> str:
+    """Median and mean of changes in points."""
+    return f"{statistics.median(gains):+.1f} points in the median, {statistics.fmean(gains):+.1f} in the mean"
 
 
 def costs(record: dict[str, Any]) -> str:
@@ -78,18 +84,21 @@ def costs(record: dict[str, Any]) -> str:
 
 
 def page(record: dict[str, Any]) -> str:
-    before, now = (rows_of(record, version) for version in VERSIONS)
-    commits = [sorted({run["commit"][:7] for run in of.values()}) for of in (before, now)]
-    machine = record["environment"]
     return Template(WORDS.read_text()).substitute(
+        about(record),
         films=films(record),
         reported=change(record, chosen=False),
         chosen=change(record, chosen=True),
         costs=costs(record),
-        before=", ".join(commits[0]),
-        now=", ".join(commits[1]),
-        machine=f"{machine['processor']}, {machine['cores']} cores",
     )
+
+
+def about(record: dict[str, Any]) -> dict[str, str]:
+    """The commits of the versions, and the machine."""
+    commits = {v: sorted({run["commit"][:7] for run in rows_of(record, v).values()}) for v in VERSIONS}
+    machine = record["environment"]
+    named = {version: ", ".join(found) for version, found in commits.items()}
+    return named | {"machine": f"{machine['processor']}, {machine['cores']} cores"}
 
 
 if __name__ == "__main__":

@@ -11,10 +11,9 @@ from typing import Any
 
 from benchmarks.common.record import ROOT
 from scripts.pages.completion_page import table
-from scripts.pages.surface.hovering_page import rows_of
+from scripts.pages.surface.hovering_page import VERSIONS, about, middle_of, rows_of, surface_of
 
 RECORD, WORDS = ROOT / "benchmarks/results/pose_adjustment.json", Path(__file__).with_name("pose_adjustment_page.txt")
-VERSIONS = ("before", "now")
 MOVED = {"0.0": "still", "2.5": "2.5 mm"}  # of the living suite, by the end of the film's name
 
 
@@ -30,16 +29,12 @@ def films(record: dict[str, Any]) -> str:
     for film in sorted(now, key=lambda name: (wall(name) != "still", name)):
         both = [of[film] for of in (before, now)]
         ates = [f"{one['ate_mean_mm']:.3f}" for one in both]
-        surfaces = ["{:.1f} ({:.1f}, {:.1f})".format(*_surface(one)) for one in both]
+        surfaces = [surface_of(one) for one in both]
         seconds = [f"{one['seconds']:.0f}" for one in both]
         posed = f"{both[1]['posed']} of {both[1]['informative']}"
         rows.append([film, wall(film), posed, *ates, *surfaces, f"{_gain(both):+.1f}", *seconds])
     head = ["film", "wall", "posed", "ATE (mm) before", "now", "F-score (precision, recall), % before", "now", "change"]
     return table([*head, "seconds before", "now"], rows)
-
-
-def _surface(found: dict[str, Any]) -> list[float]:
-    return [found[f"{one}_percent"] for one in ("f_score", "precision", "recall")]
 
 
 def _gain(both: list[dict[str, Any]]) -> float:
@@ -56,25 +51,20 @@ def change(record: dict[str, Any], still: bool) -> str:
     )
     ates = " to ".join(f"{statistics.median(of[film]['ate_mean_mm'] for film in names):.3f}" for of in (before, now))
     return (
-        f"mean F {means} %; change {statistics.median(gains):+.1f} points in the median, "
-        f"{statistics.fmean(gains):+.1f} in the mean ({min(gains):+.1f} to {max(gains):+.1f}, falling in "
+        f"mean F {means} %; change {middle_of(gains)} ({min(gains):+.1f} to {max(gains):+.1f}, falling in "
         f"{sum(gain < 0 for gain in gains)} of {len(names)} films); ATE {ates} mm in the median"
     )
 
 
 def page(record: dict[str, Any]) -> str:
     before, now = (rows_of(record, version) for version in VERSIONS)
-    commits = [sorted({run["commit"][:7] for run in of.values()}) for of in (before, now)]
-    machine = record["environment"]
     longer = [now[film]["seconds"] - before[film]["seconds"] for film in now]
     return Template(WORDS.read_text()).substitute(
+        about(record),
         films=films(record),
         still=change(record, still=True),
         moving=change(record, still=False),
         seconds=f"{statistics.median(longer):+.1f} s in the median ({min(longer):+.1f} to {max(longer):+.1f})",
-        before=", ".join(commits[0]),
-        now=", ".join(commits[1]),
-        machine=f"{machine['processor']}, {machine['cores']} cores",
     )
 
 

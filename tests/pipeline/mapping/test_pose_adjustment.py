@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from haustra.core.progress import no_progress
 from haustra.core.ray_table import RayTable
 from haustra.core.se3 import angle_between, in_camera, inverse
+from pipeline.mapping import pose_adjustment
 from pipeline.mapping.feature_triangulation import empty_map, triangulate_again, triangulate_features
 from pipeline.mapping.local_map import TrackKind
 from pipeline.mapping.map_adjustment import MAX_ERROR_PX, fit_points
@@ -159,6 +160,22 @@ def test_a_refused_adjustment_leaves_what_was_matched():
     by_poses(untouched)
     np.testing.assert_array_equal(matched.tracks.points, untouched.tracks.points)
     assert matched.incidence().nnz == untouched.incidence().nnz
+
+
+def test_a_second_adjustment_that_is_refused_leaves_the_first_ones_poses(monkeypatch):
+    """It had moved the matched map and dropped sightings before it was found to hang together by too little."""
+    adjust_once, adjusted = pose_adjustment._adjusted_once, []
+
+    def once(submap, matched):
+        adjusted.append(adjust_once(submap, matched))
+        return adjusted[0] if len(adjusted) == 1 else None
+
+    monkeypatch.setattr(pose_adjustment, "_adjusted_once", once)
+    matched = matched_map(np.random.default_rng(0), 400)
+    found = adjust_poses(bare(), matched, by_poses).submap
+    assert len(adjusted) == 2
+    for keyframe, pose in zip(matched.keyframes, found.world_from_camera, strict=True):
+        np.testing.assert_allclose(keyframe.camera_from_world, inverse(pose), atol=1e-12)
 
 
 def test_a_frame_that_sees_few_features_follows_its_neighbours():
