@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from completion.confidence import confidence_from_error, error_from_confidence
 from completion.data.sampling_training import normalise_log
+from completion.inference.kriging import towards_points
 from completion.inference.resolution import resized, resolution_factor, restore_resolution
 from completion.networks.checkpoint import load_network
 from completion.networks.precision import choose_precision
@@ -19,7 +20,7 @@ from completion.networks.protocol import DepthNetwork, Estimate, most_iterations
 from completion.networks.recurrence import DEFAULT_ITERATIONS, refine_iteratively
 from completion.weights.shipped_weights import resolve_weights, validate_iterations
 from haustra.core.errors import CompletionError
-from haustra.core.threads import workers
+from haustra.core.threads import single_threaded, workers
 
 # Dark images are brought to the exposure of the training frames. Bright ones stay: dimmed, a burnt wall would look like
 # a grey one, and that it is burnt says that it is near.
@@ -86,8 +87,9 @@ class DepthCompleter:
         """Complete one frame.
 
         rgb: (H,W,3) uint8. sparse_depth: (H,W), 0, negative or NaN = none. sparse_error: (H,W) relative standard
-        deviation of each point, or None. Returns depth (H,W) float32 and confidence (H,W) float32 in [0,1]. Without
-        a single point there is no scale: depth and confidence are zero everywhere.
+        deviation of each point, by which the network's depth is corrected in the end (`towards_points`), or None.
+        Returns depth (H,W) float32 and confidence (H,W) float32 in [0,1]. Without a single point there is no scale:
+        depth and confidence are zero everywhere.
         """
         errors = None if sparse_error is None else np.asarray(sparse_error)[None]
         depth, confidence = self.batch(np.asarray(rgb)[None], np.asarray(sparse_depth)[None], errors)
@@ -107,10 +109,14 @@ class DepthCompleter:
     def working_side_by_side(self) -> Iterator[None]:
         """While `at_once` threads call this completer, each computes on one processor: two frames side by side take
         less time than two after each other, each on two processors. The results are the same."""
-        before = torch.get_num_threads()
-        torch.set_num_threads(1 if self.at_once > 1 else before)
-        try:
+        if self.at_once == 1:
             yield
+            return
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            with single_threaded():
+                yield
         finally:
             torch.set_num_threads(before)
 
@@ -163,7 +169,11 @@ class DepthCompleter:
             here = factors == factor
             depth[here], error[here] = self._resized(float(factor), rgb[here], sparse[here], trust[here])
         known = points[:, None, None] > 0
-        return depth * known, confidence_from_error(error) * known
+        depth *= known
+        if sparse_error is not None:
+            point_error = np.nan_to_num(sparse_error, nan=1.0).astype(np.float32)
+            depth = np.stack([towards_points(*frame) for frame in zip(depth, error, sparse, point_error, strict=True)])
+        return depth, confidence_from_error(error) * known
 
     def _factor(self, shape: tuple[int, ...], points: int) -> float:
         """By which an image of a shape (H,W) with so many sparse points is resized before it is completed."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from completion.confidence import error_from_confidence
+from completion.inference.kriging import towards_points
 from haustra.core.progress import Progress, SilentProgress
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
@@ -120,5 +121,6 @@ def _refine(
         measured = sparse > 0
         known = np.where(measured, sparse, carried), np.where(measured, error, carried_error)
         refined, doubt = completer.refine(completed.rgb(row), *known, depth, confidence)
+        refined = towards_points(refined, error_from_confidence(doubt, LEAST_CONFIDENCE), sparse, error)
     nothing = np.float32(0)
     store.write_depth(index, np.where(depth > 0, refined, nothing), np.where(depth > 0, doubt, nothing))

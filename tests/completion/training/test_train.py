@@ -225,7 +225,9 @@ def test_the_shipped_weights_load_and_beat_the_median(iterations):
     assert 0.05 < confidence.mean() <= 1
 
 
-@pytest.mark.parametrize("model", ["mscsa", "std18", "gaenet", "nlspn"])
+@pytest.mark.parametrize(
+    "model", ["mscsa", *(pytest.param(rival, marks=pytest.mark.slow) for rival in ("std18", "gaenet", "nlspn"))]
+)
 def test_every_network_trains_by_the_paper_preset_and_is_evaluated_in_its_unit(shards, tmp_path, model):
     np.save(shards / "intrinsics.npy", np.tile(np.float32([40, 40, 32, 32]), (12, 1)))
     settings = make_config(

@@ -224,18 +224,33 @@ def test_config_refuses_what_it_does_not_know(values: dict[str, object]) -> None
         PhantomConfig.from_dict(values)
 
 
-def test_shards_do_not_depend_on_the_workers(tmp_path: Path) -> None:
-    for workers in (1, 2):
-        write_shards(ShardPlan(tmp_path / str(workers), frames=22, size=24, seed=3, scene="small_intestine"), workers)
+def shard_plan(folder: Path) -> ShardPlan:
+    """Of two guts, the second with two frames."""
+    return ShardPlan(folder, frames=22, size=24, seed=3, scene="small_intestine")
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Rendered in one go by one worker."""
+    folder = tmp_path_factory.mktemp("shards")
+    write_shards(shard_plan(folder), 1)
+    return folder
+
+
+def assert_same_shards(one: Path, other: Path) -> None:
     for name in ("images", "depths", "intrinsics", "colon"):
-        one, two = (np.load(tmp_path / str(workers) / f"{name}.npy") for workers in (1, 2))
-        np.testing.assert_array_equal(one, two)
-    assert two.tolist() == [0] * 20 + [1] * 2
-    assert (np.load(tmp_path / "1" / "depths.npy") > 0).mean() > 0.7
+        np.testing.assert_array_equal(*(np.load(folder / f"{name}.npy") for folder in (one, other)))
 
 
-def test_a_stopped_call_keeps_the_colons_that_it_rendered(tmp_path: Path) -> None:
-    plan = ShardPlan(tmp_path / "a", frames=22, size=24, seed=3, scene="small_intestine")
+def test_shards_do_not_depend_on_the_workers(tmp_path: Path, shards: Path) -> None:
+    write_shards(shard_plan(tmp_path), 2)
+    assert_same_shards(tmp_path, shards)
+    assert np.load(shards / "colon.npy").tolist() == [0] * 20 + [1] * 2
+    assert (np.load(shards / "depths.npy") > 0).mean() > 0.7
+
+
+def test_a_stopped_call_keeps_the_colons_that_it_rendered(tmp_path: Path, shards: Path) -> None:
+    plan = shard_plan(tmp_path)
     counts: list[int] = []
 
     def stop(done: int, of: int) -> None:
@@ -250,10 +265,7 @@ def test_a_stopped_call_keeps_the_colons_that_it_rendered(tmp_path: Path) -> Non
     assert counts == [20, 22]
     assert {path.name for path in plan.folder.iterdir()} >= {"shards.json"}
     assert not (plan.folder / "unfinished.json").exists()
-    write_shards(ShardPlan(tmp_path / "b", frames=22, size=24, seed=3, scene="small_intestine"), 1)
-    for name in ("images", "depths", "intrinsics", "colon"):
-        one, two = (np.load(tmp_path / folder / f"{name}.npy") for folder in ("a", "b"))
-        np.testing.assert_array_equal(one, two)
+    assert_same_shards(tmp_path, shards)
 
 
 def test_the_demo_has_the_advertised_lens() -> None:

@@ -178,7 +178,10 @@ def test_depth_shifted_in_time_is_one_sentence(sensor, shift, told):
         sensor_scale(submap(), replace(sensor, files=moved))
 
 
-@pytest.mark.parametrize(("late", "told"), [(0, ""), (2, "2 frames or more late;"), (-2, "2 frames or more early;")])
+@pytest.mark.parametrize(
+    ("late", "told"),
+    [(0, ""), (2, "2 frames or more late;"), pytest.param(-2, "2 frames or more early;", marks=pytest.mark.slow)],
+)
 def test_depth_so_noisy_that_a_shift_changes_little_is_doubted(tmp_path, workspace, late, told):
     write_sensor(tmp_path / "noisy", noise=0.15)
     sensor = open_sensor(workspace, CAMERA.width)
@@ -264,7 +267,9 @@ def test_frames_around_outvote_what_one_frame_gets_wrong(sensor, tmp_path):
     assert (found.error < alone.error.min()).all()
 
 
-@pytest.mark.parametrize("cut", [(0, 0), (1, 1), (3, 5), (0, 7)])
+@pytest.mark.parametrize(
+    "cut", [(1, 1), (0, 7), *(pytest.param(cut, marks=pytest.mark.slow) for cut in [(0, 0), (3, 5)])]
+)
 def test_points_of_cells_that_the_border_cuts_lie_in_the_picture(sensor, cut):
     pinhole = make_rectifier(CAMERA).camera
     pinhole = replace(pinhole, width=pinhole.width - cut[0], height=pinhole.height - cut[1])

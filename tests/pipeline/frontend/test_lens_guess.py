@@ -37,7 +37,7 @@ def guessed(tmp_path, images):
     return workspace, replace(frames, camera=start)
 
 
-@pytest.mark.parametrize(("lens", "right"), [(SCOPE, MEAN), (PINHOLE, NARROW)])
+@pytest.mark.parametrize(("lens", "right"), [(SCOPE, MEAN), pytest.param(PINHOLE, NARROW, marks=pytest.mark.slow)])
 def test_the_guess_that_is_nearer_fits_better(tmp_path, lens, right):
     workspace, frames = guessed(tmp_path, [render(camera_at(k), lens) for k in range(40)])
     found = guess_lens(frames, SETTINGS, workspace, SilentProgress())

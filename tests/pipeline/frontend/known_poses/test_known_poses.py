@@ -55,13 +55,19 @@ def solved(tmp_path, pictures, poses, refine=False):
     return submap.scaled(unit), unit
 
 
+@pytest.fixture(scope="module")
+def given(tmp_path_factory, pictures):
+    """The submap by the true poses, in their unit, and how many of it a scene unit is."""
+    return solved(tmp_path_factory.mktemp("given"), pictures, POSES)
+
+
 def radius_error(submap):
     """Of the points from the wall, median share of its radius; those at the far end, past the tube's texture, too."""
     return np.median(np.abs(np.hypot(*submap.points[:, :2].T) / RADIUS - 1))
 
 
-def test_the_wall_is_where_the_poses_put_it(tmp_path, pictures):
-    submap, unit = solved(tmp_path, pictures, POSES)
+def test_the_wall_is_where_the_poses_put_it(given):
+    submap, unit = given
     np.testing.assert_array_equal(submap.frames, np.arange(COUNT))
     np.testing.assert_allclose(submap.world_from_camera, POSES, atol=1e-6)  # they stay
     assert len(submap.points) > 400
@@ -81,8 +87,8 @@ def test_a_unit_of_poses_that_no_endoscope_can_see_from_is_one_sentence(tmp_path
             solve(workspace, frames)
 
 
-def test_a_unit_of_poses_that_few_see_from_is_doubted(tmp_path, pictures):
-    submap, _ = solved(tmp_path, pictures, POSES)
+def test_a_unit_of_poses_that_few_see_from_is_doubted(given):
+    submap, _ = given
     median = np.median(submap.depths()[submap.depths() > 0])
     assert not scale_of_poses(1.0, 30 / median, submap).doubt
     for away in (5, 150):

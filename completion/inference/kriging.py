@@ -1,0 +1,148 @@
+"""Dense depth corrected by what it misses its sparse points by: simple kriging of the residuals.
+
+A network learns how far to follow points of all kinds. Points whose errors are known say more, where they are good: by
+how much the depth at a point is off, it is off around it. log(point / depth) is taken for a Gaussian process over the
+picture and the log of the depth, so that a fold's correction does not reach the wall behind it; the points' errors are
+independent, with wide tails. Away from the points the correction falls off to none (Cressie, Statistics for Spatial
+Data, 1993, 3.2; Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, 2.2). Constants: chosen on films
+kept for choosing (docs/lab/kriging.md).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.ndimage import map_coordinates
+
+REACH = 0.2  # of the width, over which the correlation of the network's errors falls to 1/e,
+REACH_IN_DEPTH = 0.3  # and of log depth
+SPREAD = 1.5  # standard deviation of the network's errors over the error that it expects
+LEAST_ERROR = 0.003  # relative, of any point: a part of it lies in the pixel that it is rounded to
+# What points are missed by, over what their errors and the network's explain, in the median: up to the first the whole
+# correction is applied, from the second on none. Of still walls it is 0.3 to 0.6, of walls that moved over 1: there
+# nobody knows whether the points or the network are right.
+EXPLAINED, UNEXPLAINED = 0.70, 0.85
+TAIL = 2.0  # standard deviations from which on a point counts for less
+MOST_POINTS = 400  # the time grows with the cube; more are merged
+CELL, CELL_DEPTH = 1 / 80, 0.1  # shares of the width and log depth, within which points are merged first
+ROUNDS = 5  # of weighing points by what they are missed by
+MOST_CHANGE = 0.5  # of log depth
+NODES = 40  # of the grid on which the correction is computed, across the width
+SLICES_APART = 0.05  # of its slices in log depth
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class _Points:
+    """N points: place (N,2) in widths of the picture, log_depth (N,) of the estimate, `missed` (N,) by how much its log
+    is too small there; relative standard deviations: error (N,) of the point, `expected` (N,) of the estimate."""
+
+    place: Array
+    log_depth: Array
+    missed: Array
+    error: Array
+    expected: Array
+
+    def __len__(self) -> int:
+        return len(self.missed)
+
+
+def towards_points(depth: Image, expected: Image, sparse: Image, error: Image) -> Image:
+    """Dense depth (H,W), corrected; where it is 0, it stays 0.
+
+    expected: (H,W) relative error that the network expects of it. sparse: (H,W) depth of points, 0 = none, in the same
+    unit. error: (H,W) their relative standard deviations.
+    """
+    points = _merged(_points_of(depth, expected, sparse, error))
+    share = _applied_share(points)
+    if share == 0:
+        return depth
+    variance = (SPREAD * float(np.median(points.expected))) ** 2
+    covariance = _alike(points.place, points.place) * _alike_in_depth(points.log_depth, points.log_depth)
+    weights = _kriging_weights(variance * covariance, points.missed, np.maximum(points.error, LEAST_ERROR))
+    return _corrected(depth, points, share * variance * weights)
+
+
+def _points_of(depth: Image, expected: Image, sparse: Image, error: Image) -> _Points:
+    at = np.nonzero((sparse > 0) & (depth > 0))
+    known, log_depth = sparse[at].astype(np.float64), np.log(depth[at].astype(np.float64))
+    errors = (image[at].astype(np.float64) for image in (error, expected))
+    return _Points(np.column_stack(at[::-1]) / depth.shape[1], log_depth, np.log(known) - log_depth, *errors)
+
+
+def _merged(points: _Points) -> _Points:
+    """No more than `MOST_POINTS`: those of a cell, and of like depth there, become one; cells grow until there are few
+    enough."""
+    found, size = points, np.array([CELL, CELL, CELL_DEPTH])
+    while len(found) > MOST_POINTS:
+        from_nearest = points.log_depth - points.log_depth.min()
+        _, group = np.unique(np.column_stack([points.place, from_nearest]) // size, axis=0, return_inverse=True)
+        found, size = _one_of_each(points, group.ravel()), 1.2 * size
+    return found
+
+
+def _one_of_each(points: _Points, group: NDArray[np.int64]) -> _Points:
+    """Of the points of each group their mean by precision, as sure as the surest of them: what neighbours are off by,
+    they share."""
+    precision = np.maximum(points.error, LEAST_ERROR) ** -2.0
+    total = np.bincount(group, precision)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.bincount(group, precision * values) / total)
+
+    surest = np.full(len(total), np.inf)
+    np.minimum.at(surest, group, points.error)
+    place = np.column_stack([mean(points.place[:, 0]), mean(points.place[:, 1])])
+    return _Points(place, mean(points.log_depth), mean(points.missed), surest, mean(points.expected))
+
+
+def _applied_share(points: _Points) -> float:
+    """From 0 to 1, by `EXPLAINED`; 0 of fewer than three points."""
+    if len(points) < 3:
+        return 0.0
+    explained = np.hypot(np.maximum(points.error, LEAST_ERROR), points.expected)
+    unexplained = float(np.median(np.abs(points.missed) / explained))
+    return float(np.clip((UNEXPLAINED - unexplained) / (UNEXPLAINED - EXPLAINED), 0, 1))
+
+
+def _alike(one: Array, other: Array) -> Array:
+    """(N,M) correlation by the distance of places (N,2) and (M,2)."""
+    squared = ((one[:, None] - other[None]) ** 2).sum(axis=2)
+    return np.asarray(np.exp(-np.sqrt(squared) / REACH))
+
+
+def _alike_in_depth(one: Array, other: Array) -> Array:
+    """(N,M) correlation by the difference of log depths (N,) and (M,)."""
+    return np.asarray(np.exp(-np.abs(one[:, None] - other[None]) / REACH_IN_DEPTH))
+
+
+def _kriging_weights(covariance: Array, missed: Array, error: Array) -> Array:
+    """(N,) by which the covariances with the points are summed to a correction; points that the others contradict weigh
+    less, as if their errors were larger (Student's t, by reweighting)."""
+    doubted = error**2
+    for _ in range(ROUNDS):
+        weights = cho_solve(cho_factor(covariance + np.diag(doubted)), missed)
+        doubted = error**2 * (1 + ((missed - covariance @ weights) / (TAIL * error)) ** 2)
+    return np.asarray(weights)
+
+
+def _corrected(depth: Image, points: _Points, weights: Array) -> Image:
+    """Depth (H,W) times the correction, which is computed on a grid over the picture and log depth."""
+    height, width = depth.shape
+    known = depth > 0
+    log_depth = np.log(depth[known])
+    apart = width / NODES
+    across, down = (np.arange(0, side + apart, apart) for side in (width, height))
+    slices = np.arange(log_depth.min(), log_depth.max() + SLICES_APART, SLICES_APART)
+    nodes = np.stack(np.meshgrid(across / width, down / width), axis=2).reshape(-1, 2)
+    of_slices = weights[:, None] * _alike_in_depth(points.log_depth, slices)
+    grid = (_alike(nodes, points.place) @ of_slices).reshape(len(down), len(across), len(slices))
+    rows, columns = np.nonzero(known)
+    at = np.stack([rows / apart, columns / apart, (log_depth - slices[0]) / SLICES_APART])
+    change = map_coordinates(grid.astype(np.float32), at, order=1, mode="nearest")
+    corrected = depth.copy()
+    corrected[known] *= np.exp(np.clip(change, -MOST_CHANGE, MOST_CHANGE))
+    return corrected
