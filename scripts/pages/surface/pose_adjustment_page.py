@@ -56,10 +56,11 @@ def change(record: dict[str, Any], still: bool) -> str:
     )
 
 
-def page(record: dict[str, Any]) -> str:
+def page(record: dict[str, Any], words: Path = WORDS) -> str:
+    """Of a record of two versions on the same films; also for other changes (`kriging_page.py`)."""
     before, now = (rows_of(record, version) for version in VERSIONS)
     longer = [now[film]["seconds"] - before[film]["seconds"] for film in now]
-    return Template(WORDS.read_text()).substitute(
+    return Template(words.read_text()).substitute(
         about(record),
         films=films(record),
         still=change(record, still=True),
