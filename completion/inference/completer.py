@@ -27,6 +27,7 @@ from haustra.core.threads import single_threaded, workers
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
 MAX_GAIN = 2.0  # factor on grey levels
 GPU_BATCH = 8  # frames; not measured, since no GPU was at hand
+UNKNOWN_ERROR = 1e6  # relative, of a sparse point: no trust
 LEAST_ERROR, GREATEST_ERROR = 0.0025, 2.7  # relative, of an estimate that is refined: what networks can state
 
 
@@ -108,7 +109,8 @@ class DepthCompleter:
     @contextmanager
     def working_side_by_side(self) -> Iterator[None]:
         """While `at_once` threads call this completer, each computes on one processor: two frames side by side take
-        less time than two after each other, each on two processors. The results are the same."""
+        less time than two after each other, each on two processors. The results are the same. Until it ends, torch's
+        and BLAS' numbers of threads are those of the whole process."""
         if self.at_once == 1:
             yield
             return
@@ -135,7 +137,8 @@ class DepthCompleter:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """One more iteration on a frame that has a depth, with points that it had not when that was made.
 
-        rgb, sparse_depth, sparse_error as in `__call__`; depth (H,W), 0 = none, and confidence (H,W) as it returned
+        rgb, sparse_depth as in `__call__`; sparse_error (H,W) relative standard deviations, by which points are trusted
+        (depth is not corrected by them as there); depth (H,W), 0 = none, and confidence (H,W) as `__call__` returned
         them. Returns both anew. CompletionError if the network was trained for one iteration only.
         """
         validate_iterations(2, self.trained_iterations)
@@ -171,7 +174,7 @@ class DepthCompleter:
         known = points[:, None, None] > 0
         depth *= known
         if sparse_error is not None:
-            point_error = np.nan_to_num(sparse_error, nan=1.0).astype(np.float32)
+            point_error = np.nan_to_num(sparse_error, nan=1.0, posinf=UNKNOWN_ERROR).astype(np.float32)
             depth = np.stack([towards_points(*frame) for frame in zip(depth, error, sparse, point_error, strict=True)])
         return depth, confidence_from_error(error) * known
 
@@ -224,7 +227,8 @@ def valid_points(
     sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
     trust = (sparse > 0).astype(np.float32)
     if sparse_error is not None:
-        trust *= confidence_from_error(np.nan_to_num(sparse_error, nan=1.0)).astype(np.float32)
+        told = np.minimum(np.nan_to_num(sparse_error, nan=1.0), UNKNOWN_ERROR)
+        trust *= confidence_from_error(told).astype(np.float32)
     return sparse, trust
 
 

@@ -50,8 +50,9 @@ def change(record: dict[str, Any], still: bool) -> str:
         f"{statistics.fmean(of[film]['f_score_percent'] for film in names):.1f}" for of in (before, now)
     )
     ates = " to ".join(f"{statistics.median(of[film]['ate_mean_mm'] for film in names):.3f}" for of in (before, now))
+    spread = f"standard error {statistics.stdev(gains) / len(gains) ** 0.5:.1f}; {min(gains):+.1f} to {max(gains):+.1f}"
     return (
-        f"mean F {means} %; change {middle_of(gains)} ({min(gains):+.1f} to {max(gains):+.1f}, falling in "
+        f"mean F {means} %; change {middle_of(gains)} ({spread}, falling in "
         f"{sum(gain < 0 for gain in gains)} of {len(names)} films); ATE {ates} mm in the median"
     )
 

@@ -128,6 +128,26 @@ def test_a_network_of_one_iteration_keeps_its_first_depth(completed) -> None:
         np.testing.assert_array_equal(after.depth(row)[1], confidence)
 
 
+def test_refined_depth_is_corrected_by_the_keyframes_own_points(completed, monkeypatch) -> None:
+    """Of a network that makes all of it 1 % too far."""
+    submap, workspace = completed
+    before = {int(row): submap.depth(int(row))[0] for row in submap.rows}
+
+    def points(row: int) -> SparseDepth:
+        y, x = (pixels[::4] for pixels in np.nonzero(before[row]))
+        return SparseDepth(np.column_stack([x, y]) + 0.5, before[row][y, x].astype(float), np.full(len(x), 0.004))
+
+    class Far(Recorder):
+        def refine(self, rgb, sparse, error, depth, confidence):
+            return 1.01 * depth, confidence
+
+    monkeypatch.setattr("pipeline.depth.multiview_stage.points_of", lambda *_: points)
+    after = refined(submap, workspace, Far())
+    for row, depth in before.items():
+        off = after.depth(row)[0][depth > 0] / depth[depth > 0]
+        assert np.median(off) == pytest.approx(1, abs=0.002)
+
+
 def test_without_the_setting_nothing_is_done(completed) -> None:
     submap, workspace = completed
     assert refine_depth(FRAMES, [submap], unwanted, Config().depth, workspace, SilentProgress()) == [submap]
