@@ -22,19 +22,19 @@ def wall(film: str) -> str:
     return MOVED.get(film.partition("_")[2], "still")
 
 
-def films(record: dict[str, Any]) -> str:
-    """A row for each film, both versions beside each other."""
+def films(record: dict[str, Any], timed: bool = True) -> str:
+    """A row for each film, both versions beside each other; `timed`: with the seconds of each."""
     before, now = (rows_of(record, version) for version in VERSIONS)
     rows = []
     for film in sorted(now, key=lambda name: (wall(name) != "still", name)):
         both = [of[film] for of in (before, now)]
         ates = [f"{one['ate_mean_mm']:.3f}" for one in both]
         surfaces = [surface_of(one) for one in both]
-        seconds = [f"{one['seconds']:.0f}" for one in both]
+        seconds = [f"{one['seconds']:.0f}" for one in both] if timed else []
         posed = f"{both[1]['posed']} of {both[1]['informative']}"
         rows.append([film, wall(film), posed, *ates, *surfaces, f"{_gain(both):+.1f}", *seconds])
     head = ["film", "wall", "posed", "ATE (mm) before", "now", "F-score (precision, recall), % before", "now", "change"]
-    return table([*head, "seconds before", "now"], rows)
+    return table([*head, "seconds before", "now"] if timed else head, rows)
 
 
 def _gain(both: list[dict[str, Any]]) -> float:
@@ -57,13 +57,14 @@ def change(record: dict[str, Any], still: bool) -> str:
     )
 
 
-def page(record: dict[str, Any], words: Path = WORDS) -> str:
-    """Of a record of two versions on the same films; also for other changes (`kriging_page.py`)."""
+def page(record: dict[str, Any], words: Path = WORDS, timed: bool = True) -> str:
+    """Of a record of two versions on the same films; also for other changes (`kriging_page.py`). timed: their seconds
+    compare."""
     before, now = (rows_of(record, version) for version in VERSIONS)
     longer = [now[film]["seconds"] - before[film]["seconds"] for film in now]
     return Template(words.read_text()).substitute(
         about(record),
-        films=films(record),
+        films=films(record, timed),
         still=change(record, still=True),
         moving=change(record, still=False),
         seconds=f"{statistics.median(longer):+.1f} s in the median ({min(longer):+.1f} to {max(longer):+.1f})",
