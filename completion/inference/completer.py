@@ -174,8 +174,8 @@ class DepthCompleter:
         known = points[:, None, None] > 0
         depth *= known
         if sparse_error is not None:
-            point_error = np.nan_to_num(sparse_error, nan=1.0, posinf=UNKNOWN_ERROR).astype(np.float32)
-            depth = np.stack([towards_points(*frame) for frame in zip(depth, error, sparse, point_error, strict=True)])
+            told = _told_errors(sparse_error)
+            depth = np.stack([towards_points(*frame) for frame in zip(depth, error, sparse, told, strict=True)])
         return depth, confidence_from_error(error) * known
 
     def _factor(self, shape: tuple[int, ...], points: int) -> float:
@@ -227,9 +227,13 @@ def valid_points(
     sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
     trust = (sparse > 0).astype(np.float32)
     if sparse_error is not None:
-        told = np.minimum(np.nan_to_num(sparse_error, nan=1.0), UNKNOWN_ERROR)
-        trust *= confidence_from_error(told).astype(np.float32)
+        trust *= confidence_from_error(_told_errors(sparse_error))
     return sparse, trust
+
+
+def _told_errors(sparse_error: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Relative errors of points (...,H,W) as they were told, those that are no number as 1 and none over 1e6."""
+    return np.minimum(np.nan_to_num(sparse_error, nan=1.0), UNKNOWN_ERROR).astype(np.float32)
 
 
 def renamed_looks(iterations: int | None, looks: int | None) -> int | None:

@@ -21,15 +21,16 @@ REACH_IN_DEPTH = 0.3  # and of log depth
 # it. What points are missed by is explained by the expected error itself (below).
 SPREAD = 1.5
 LEAST_ERROR = 0.003  # relative, of any point: a part of it lies in the pixel that it is rounded to
-# Of a point's told error, as which it counts here. Keyframes share their points: where all follow these closely, their
-# depths agree, even where the points are off. Chosen by the surface, too; single depths do not gain by it.
+# Of a point's told error, as which it counts here. Chosen by the surface, too: single depths hardly gain by it. Where
+# all keyframes follow the points that they share, their depths presumably agree, even where the points are off.
 OWN_SHARE = 0.35
 # What points are missed by, over what their errors and the network's explain, in the median: up to the first the whole
 # correction is applied, from the second on none, since nobody knows whether the points or the network are right. In the
 # films from H.264 that this was chosen on it is 0.52 to 0.77 where the wall stands still, 1.09 to 1.8 where it moves by
 # 2.5 mm; other still ones reach 0.9.
 EXPLAINED, UNEXPLAINED = 0.85, 1.0
-TAIL = 2.0  # standard deviations at which a point counts for half
+TAIL = 2.0  # standard deviations, of `OWN_SHARE` of the told ones, at which a point counts for half
+UNKNOWN = 1.0  # told error from which on a point is left out: it would explain whatever is missed there
 MOST_POINTS = 400  # the time grows with the cube; more are merged
 CELL, CELL_DEPTH = 1 / 80, 0.1  # of the longer side, and of log depth, within which points are merged first
 ROUNDS = 5  # of weighing points by what they are missed by
@@ -61,7 +62,8 @@ def towards_points(depth: Image, expected: Image, sparse: Image, error: Image) -
     """Dense depth (H,W), corrected; where it is 0, it stays 0.
 
     expected: (H,W) relative error that the network expects of it. sparse: (H,W) depth of points, 0 = none, in the same
-    unit. error: (H,W) their relative standard deviations. Points and pixels that are not finite count as none.
+    unit. error: (H,W) their relative standard deviations. Points of error `UNKNOWN` and more, those where one of the
+    four is not finite, and such pixels count as none.
     """
     points = _points_of(depth, expected, sparse, error)
     share = _applied_share(points)
@@ -75,8 +77,8 @@ def towards_points(depth: Image, expected: Image, sparse: Image, error: Image) -
 
 
 def _points_of(depth: Image, expected: Image, sparse: Image, error: Image) -> _Points:
-    finite = np.isfinite(sparse) & np.isfinite(depth) & np.isfinite(error)
-    at = np.nonzero((sparse > 0) & (depth > 0) & finite)
+    finite = np.isfinite(sparse) & np.isfinite(depth) & np.isfinite(expected)
+    at = np.nonzero((sparse > 0) & (depth > 0) & finite & (error < UNKNOWN))
     known, log_depth = sparse[at].astype(np.float64), np.log(depth[at].astype(np.float64))
     errors = (image[at].astype(np.float64) for image in (error, expected))
     return _Points(np.column_stack(at[::-1]) / max(depth.shape), log_depth, np.log(known) - log_depth, *errors)

@@ -14,6 +14,7 @@ from scripts.pages.completion_page import table
 from scripts.pages.surface.hovering_page import VERSIONS, about, middle_of, rows_of, surface_of
 
 RECORD, WORDS = ROOT / "benchmarks/results/pose_adjustment.json", Path(__file__).with_name("pose_adjustment_page.txt")
+ENOUGH = 5  # films for a standard error
 MOVED = {"0.0": "still", "2.5": "2.5 mm"}  # of the living suite, by the end of the film's name
 
 
@@ -42,18 +43,24 @@ def _gain(both: list[dict[str, Any]]) -> float:
 
 
 def change(record: dict[str, Any], still: bool) -> str:
-    """Change of F-score and ATE over the films whose wall stands still, or moves."""
+    """Change of F-score and ATE over the films whose wall stands still, or moves; of those whose maps are of one front
+    end, since another map is another path. The standard error takes films for independent, and is not told of few."""
     before, now = (rows_of(record, version) for version in VERSIONS)
-    names = [film for film in now if (wall(film) == "still") == still]
+    of_role = [film for film in now if (wall(film) == "still") == still]
+    names = [film for film in of_role if before[film]["front_end"] == now[film]["front_end"]]
+    left = [f"`{film}`" for film in of_role if film not in names]
     gains = [_gain([before[film], now[film]]) for film in names]
     means = " to ".join(
         f"{statistics.fmean(of[film]['f_score_percent'] for film in names):.1f}" for of in (before, now)
     )
     ates = " to ".join(f"{statistics.median(of[film]['ate_mean_mm'] for film in names):.3f}" for of in (before, now))
-    spread = f"standard error {statistics.stdev(gains) / len(gains) ** 0.5:.1f}; {min(gains):+.1f} to {max(gains):+.1f}"
+    spread = f"{min(gains):+.1f} to {max(gains):+.1f}"
+    if len(gains) >= ENOUGH:
+        spread = f"standard error {statistics.stdev(gains) / len(gains) ** 0.5:.1f}; {spread}"
     return (
         f"mean F {means} %; change {middle_of(gains)} ({spread}, falling in "
         f"{sum(gain < 0 for gain in gains)} of {len(names)} films); ATE {ates} mm in the median"
+        + (f"; without {', '.join(left)}, whose map is of another front end" if left else "")
     )
 
 
