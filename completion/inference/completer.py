@@ -27,7 +27,7 @@ from haustra.core.threads import single_threaded, workers
 TYPICAL_BRIGHTNESS = 130.0  # grey levels: median over the training frames of the mean brightest channel
 MAX_GAIN = 2.0  # factor on grey levels
 GPU_BATCH = 8  # frames; not measured, since no GPU was at hand
-UNKNOWN_ERROR = 1e6  # relative, of a sparse point: no trust
+UNKNOWN_ERROR = 1e6  # relative, of a sparse point: no trust is left, and its square is still a float32
 LEAST_ERROR, GREATEST_ERROR = 0.0025, 2.7  # relative, of an estimate that is refined: what networks can state
 
 
@@ -174,8 +174,8 @@ class DepthCompleter:
         known = points[:, None, None] > 0
         depth *= known
         if sparse_error is not None:
-            told = _told_errors(sparse_error)
-            depth = np.stack([towards_points(*frame) for frame in zip(depth, error, sparse, told, strict=True)])
+            frames = zip(depth, error, sparse, sparse_error, strict=True)
+            depth = np.stack([towards_points(*frame) for frame in frames])
         return depth, confidence_from_error(error) * known
 
     def _factor(self, shape: tuple[int, ...], points: int) -> float:
@@ -227,13 +227,9 @@ def valid_points(
     sparse = np.where(np.isfinite(sparse_depth) & (sparse_depth > 0), sparse_depth, 0).astype(np.float32)
     trust = (sparse > 0).astype(np.float32)
     if sparse_error is not None:
-        trust *= confidence_from_error(_told_errors(sparse_error))
+        told = np.minimum(np.nan_to_num(sparse_error, nan=1.0), UNKNOWN_ERROR)
+        trust *= confidence_from_error(told).astype(np.float32)
     return sparse, trust
-
-
-def _told_errors(sparse_error: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Relative errors of points (...,H,W) as they were told, those that are no number as 1 and none over 1e6."""
-    return np.minimum(np.nan_to_num(sparse_error, nan=1.0), UNKNOWN_ERROR).astype(np.float32)
 
 
 def renamed_looks(iterations: int | None, looks: int | None) -> int | None:

@@ -56,7 +56,9 @@ def change(record: dict[str, Any], still: bool) -> str:
     ates = " to ".join(f"{statistics.median(of[film]['ate_mean_mm'] for film in names):.3f}" for of in (before, now))
     spread = f"{min(gains):+.1f} to {max(gains):+.1f}"
     if len(gains) >= ENOUGH:
-        spread = f"standard error {statistics.stdev(gains) / len(gains) ** 0.5:.1f}; {spread}"
+        others = statistics.fmean(sorted(gains)[:-1])
+        error = statistics.stdev(gains) / len(gains) ** 0.5
+        spread = f"standard error {error:.1f}; {spread}; without the greatest {others:+.1f} in the mean"
     return (
         f"mean F {means} %; change {middle_of(gains)} ({spread}, falling in "
         f"{sum(gain < 0 for gain in gains)} of {len(names)} films); ATE {ates} mm in the median"
