@@ -77,6 +77,12 @@ class DepthSettings(Settings):
         None, description="of the network for each frame, at most as many as it was trained for; None: 2"
     )
     multiview: bool = Field(False, description="once more for each keyframe, with its neighbours' depths as points")
+    photometric: bool = Field(True, description="corrected by where patches fit the pictures of keyframes around it")
+
+    @property
+    def has_second_pass(self) -> bool:
+        """Whether the keyframes' depths are refined once all are complete."""
+        return self.multiview or self.photometric
 
 
 class LoopClosingSettings(Settings):

@@ -84,9 +84,10 @@ def reconstruct(
             retriangulated = timed("points", find_points)(
                 frames, features, submaps, settings.odometry.keyframe_motion, workspace, progress
             )
-        complete, close = timed("depth", complete_depth), timed("loop closing", close_loops_stage)
+        complete, refine = timed("depth", complete_depth), timed("depth from several views", refine_depth)
+        close = timed("loop closing", close_loops_stage)
         completed = complete(frames, retriangulated, preparation.completer, config.depth, workspace, progress)
-        completed = refine_depth(frames, completed, preparation.completer, config.depth, workspace, progress)
+        completed = refine(frames, completed, preparation.completer, config.depth, workspace, progress)
         preparation.forget()
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)
         timed("motion", wall_motion_stage)(frames, completed, submaps, workspace, progress)

@@ -31,7 +31,7 @@ OWN_SHARE = 0.35
 EXPLAINED, UNEXPLAINED = 0.85, 1.0
 TAIL = 2.0  # standard deviations, of `OWN_SHARE` of the told ones, at which a point counts for half
 UNKNOWN = 1.0  # told error from which on a point is left out: it would explain whatever is missed there
-MOST_POINTS = 400  # the time grows with the cube; more are merged
+MOST_POINTS = 400  # unless asked for otherwise: the time grows with the cube; more are merged
 CELL, CELL_DEPTH = 1 / 80, 0.1  # of the longer side, and of log depth, within which points are merged first
 ROUNDS = 5  # of weighing points by what they are missed by
 MOST_CHANGE = 0.5  # of log depth
@@ -58,18 +58,18 @@ class _Points:
         return len(self.missed)
 
 
-def towards_points(depth: Image, expected: Image, sparse: Image, error: Image) -> Image:
+def towards_points(depth: Image, expected: Image, sparse: Image, error: Image, most_points: int = MOST_POINTS) -> Image:
     """Dense depth (H,W), corrected; where it is 0, it stays 0.
 
     expected: (H,W) relative error that the network expects of it. sparse: (H,W) depth of points, 0 = none, in the same
     unit. error: (H,W) their relative standard deviations. Points of error `UNKNOWN` and more, those where one of the
-    four is not finite, and such pixels count as none.
+    four is not finite, and such pixels count as none. most_points: beyond which those that are close are merged.
     """
     points = _points_of(depth, expected, sparse, error)
     share = _applied_share(points)
     if share == 0:
         return depth
-    points = _merged(points)
+    points = _merged(points, most_points)
     variance = (SPREAD * float(np.median(points.expected))) ** 2
     covariance = _alike(points.place, points.place) * _alike_in_depth(points.log_depth, points.log_depth)
     weights = _kriging_weights(variance * covariance, points.missed, np.maximum(OWN_SHARE * points.error, LEAST_ERROR))
@@ -84,11 +84,11 @@ def _points_of(depth: Image, expected: Image, sparse: Image, error: Image) -> _P
     return _Points(np.column_stack(at[::-1]) / max(depth.shape), log_depth, np.log(known) - log_depth, *errors)
 
 
-def _merged(points: _Points) -> _Points:
-    """No more than `MOST_POINTS`: those of a cell, and of like depth there, become one; cells grow until there are few
+def _merged(points: _Points, most: int) -> _Points:
+    """No more than `most`: those of a cell, and of like depth there, become one; cells grow until there are few
     enough."""
     found, size = points, np.array([CELL, CELL, CELL_DEPTH])
-    while len(found) > MOST_POINTS:
+    while len(found) > most:
         from_nearest = points.log_depth - points.log_depth.min()
         _, group = np.unique(np.column_stack([points.place, from_nearest]) // size, axis=0, return_inverse=True)
         found, size = _one_of_each(points, group.ravel()), 1.2 * size
@@ -121,8 +121,9 @@ def _applied_share(points: _Points) -> float:
 
 def _alike(one: Array, other: Array) -> Array:
     """(N,M) correlation by the distance of places (N,2) and (M,2)."""
-    squared = ((one[:, None] - other[None]) ** 2).sum(axis=2)
-    return np.asarray(np.exp(-np.sqrt(squared) / REACH))
+    across, down = (np.subtract.outer(one[:, axis], other[:, axis]) for axis in (0, 1))
+    distance = np.sqrt(across * across + down * down)
+    return np.asarray(np.exp(distance / -REACH))
 
 
 def _alike_in_depth(one: Array, other: Array) -> Array:

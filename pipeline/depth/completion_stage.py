@@ -101,7 +101,7 @@ def _complete_all(
     width, motion, planned = frames.camera.width, settings.keyframe_motion, []
     for submap, least in zip(submaps, least_of_each([len(one.frames) for one in submaps]), strict=True):
         planned.append(_planned(frames, submap, choose_keyframes(submap, width, motion, least), workspace))
-    store, sensor = DiskKeyframes(workspace, settings.multiview), open_sensor(workspace, frames.camera.width)
+    store, sensor = DiskKeyframes(workspace, settings.has_second_pass), open_sensor(workspace, frames.camera.width)
     for number, one in enumerate(planned):
         write_json(camera_path(workspace, number), one.camera.to_dict())
     total, done, size = sum(len(one) for one in planned), 0, completer.batch_size

@@ -1,27 +1,32 @@
-"""Stage 3b: every keyframe's depth once more, from its own points and from what its neighbours' depths say about it.
+"""Stage 3b: every keyframe's depth once more, by what the keyframes around it show.
 
 A keyframe's points are few and noisy, and what is plain wall passes their noise on. Its neighbours saw the same wall
-from elsewhere: their first depths are carried over as points with errors (`reconstruction.fusion.depth_transfer`), and
-the network refines the keyframe's own first depth with them. First depths stay on disk until all are refined, so that
-no refined one depends on another and a stopped run goes on to the same bytes.
+from elsewhere. Their pictures say where patches of this one fit them (`photometric_points.py`): points by which its
+depth is corrected. On request, their first depths are carried over as points with errors before that
+(`reconstruction.fusion.depth_transfer`), and the network refines the first depth with them. First depths stay on disk
+until all are refined, so that no refined one depends on another and a stopped run goes on to the same bytes.
 """
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from completion.confidence import error_from_confidence
 from completion.inference.kriging import towards_points
 from haustra.core.progress import Progress, SilentProgress
+from haustra.core.threads import prefetched, single_threaded, workers
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import REFINED, DiskKeyframes
+from pipeline.depth.photometric_points import View, photometric_points, view_of
 from pipeline.depth.preparation import LoadCompleter
 from pipeline.depth.sensor.joined_points import points_of
 from pipeline.depth.sparse_depth import SparseDepth
@@ -37,10 +42,12 @@ if TYPE_CHECKING:
 
 STAGE = REFINED
 STEPS = (1, 2, 4, 8)  # keyframes before and after that are asked: near ones overlap, far ones err otherwise
-CELL = 1 / 36  # of the width, side of a cell with one point: 9 px of 320
+CELL = 1 / 36  # of the width, side of a cell with one carried point: 9 px of 320
 MAX_ERROR = 0.3  # expected relative error of a pixel that is carried over
+MOST_POINTS = 1000  # own and photometric ones, by which a keyframe's depth is corrected
 LEAST_CONFIDENCE = 1 / 510  # half of its smallest step on disk
-CACHED = 2 * max(STEPS) + 2  # first depths in memory
+
+Image = NDArray[np.float32]
 
 
 def refine_depth(
@@ -51,12 +58,14 @@ def refine_depth(
     workspace: Workspace,
     progress: Progress,
 ) -> list[CompletedSubmap]:
-    """The submaps with refined depth; without `multiview`, or with a network of one iteration, as they are."""
-    if not settings.multiview:
+    """The submaps with refined depth; as they are where neither is asked for, and where no first depth is left to be
+    refined (a run of a version that made none)."""
+    if not settings.has_second_pass or not (workspace.is_done(STAGE) or workspace.first_depth.is_dir()):
         return completed
 
     def make() -> None:
-        _refine_all(frames, completed, load_completer(), workspace, progress)
+        completer = load_completer() if settings.multiview else None
+        _refine_all(frames, completed, completer, settings.photometric, workspace, progress)
 
     refined = DiskKeyframes(workspace)
     return load_or_make(workspace, STAGE, lambda: [replace(one, store=refined) for one in completed], make)
@@ -65,62 +74,97 @@ def refine_depth(
 def _refine_all(
     frames: Frames,
     completed: list[CompletedSubmap],
-    completer: DepthCompleter,
+    completer: DepthCompleter | None,
+    photometric: bool,
     workspace: Workspace,
     progress: Progress,
 ) -> None:
     store, sensor = DiskKeyframes(workspace), open_sensor(workspace, frames.camera.width)
+    # What a sensor measured holds depth better than patches do.
+    photometric, at_once = photometric and sensor is None, workers() if completer is None else completer.at_once
     done, total = 0, sum(len(one) for one in completed)
-    with freed_memory_kept(), progress.bar("depth from several views", total) as advance:
+    with ExitStack() as stack:
+        advance = stack.enter_context(progress.bar("depth from several views", total))
+        stack.enter_context(freed_memory_kept())
+        stack.enter_context(single_threaded() if completer is None else completer.working_side_by_side())
         for one in completed:
             # Those that the first depth was completed from; what there is to say of them was said then.
-            points, first = points_of(one, frames, sensor, SilentProgress()), _first_views(one)
-            for place in range(len(one)):
-                _refine(one, place, points, first, completer, store)
+            points = points_of(one, frames, sensor, SilentProgress())
+            refinement = _Refinement(one, points, completer, photometric, store)
+            for _ in prefetched(refinement, range(len(one)), at_once, at_once):
                 done += 1
                 advance(done)
     workspace.finish(STAGE)
     shutil.rmtree(workspace.first_depth, ignore_errors=True)
 
 
-def _first_views(completed: CompletedSubmap) -> Callable[[int], UnsureView]:
-    """The first depth of the keyframe at a place among the submap's rows, without what is too unsure; the last ones
-    asked for are kept."""
+class _Refinement:
+    """Of the keyframes of a submap; called with the place of one, from several threads."""
 
-    @lru_cache(CACHED)
-    def view(place: int) -> UnsureView:
-        depth, confidence, world_from_camera = completed.depth(int(completed.rows[place]))
+    def __init__(
+        self,
+        completed: CompletedSubmap,
+        points: Callable[[int], SparseDepth],
+        completer: DepthCompleter | None,
+        photometric: bool,
+        store: DiskKeyframes,
+    ) -> None:
+        self.completed, self.points, self.photometric, self.store = completed, points, photometric, store
+        self.completer = completer if completer is not None and completer.can_refine else None
+        held = lru_cache(2 * max(STEPS) + 2 + workers())
+        self.unsure_view, self.view = held(self._unsure_view), held(self._view)
+
+    def __call__(self, place: int) -> None:
+        """Refine one keyframe and write it, unless that was done before the run was stopped."""
+        row = int(self.completed.rows[place])
+        index = int(self.completed.submap.frames[row])
+        if self.store.has_depth(index):
+            return
+        depth, confidence, _ = self.completed.depth(row)
+        if self.completer is not None or self.photometric:
+            depth, confidence = self._refined(place, row, depth, confidence)
+        self.store.write_depth(index, depth, confidence)
+
+    def _refined(self, place: int, row: int, depth: Image, confidence: Image) -> tuple[Image, Image]:
+        """Depth and confidence (H,W) anew; where there was no depth, there is none."""
+        sparse, error = self.points(row).maps(*depth.shape)
+        known, nothing = depth > 0, np.float32(0)
+        if self.completer is not None:
+            carried = self._with_carried(place, sparse, error)
+            refined, doubt = self.completer.refine(self.completed.rgb(row), *carried, depth, confidence)
+            depth, confidence = np.where(known, refined, nothing), np.where(known, doubt, nothing)
+        if self.photometric:
+            sparse, error = self._with_photometric(place, depth, sparse, error)
+        expected = error_from_confidence(confidence, LEAST_CONFIDENCE)
+        return towards_points(depth, expected, sparse, error, MOST_POINTS), confidence
+
+    def _with_carried(self, place: int, sparse: Image, error: Image) -> tuple[Image, Image]:
+        """Points (H,W) and their errors, and where there is none, those that neighbours' depths give."""
+        others = [self.unsure_view(other) for other in self._around(place)]
+        pose = self.completed.submap.world_from_camera[self.completed.rows[place]]
+        cell = max(2, round(CELL * sparse.shape[1]))
+        carried, carried_error = transferred(sparse.shape, self.completed.camera.matrix, pose, others, cell)
+        return np.where(sparse > 0, sparse, carried), np.where(sparse > 0, error, carried_error)
+
+    def _with_photometric(self, place: int, depth: Image, sparse: Image, error: Image) -> tuple[Image, Image]:
+        """Points (H,W) and their errors, and where there is none, those that neighbours' pictures confirm."""
+        others = [self.view(other) for other in self._around(place)]
+        own = replace(self.view(place), depth=depth)
+        fitted, fitted_error = photometric_points(own, others, self.completed.camera.matrix).maps(*depth.shape)
+        return np.where(sparse > 0, sparse, fitted), np.where(sparse > 0, error, fitted_error)
+
+    def _around(self, place: int) -> list[int]:
+        near = (place + sign * step for step in STEPS for sign in (-1, 1))
+        return [other for other in near if 0 <= other < len(self.completed)]
+
+    def _unsure_view(self, place: int) -> UnsureView:
+        """The first depth of a keyframe, without what is too unsure to be carried over."""
+        depth, confidence, world_from_camera = self.completed.depth(int(self.completed.rows[place]))
         error = error_from_confidence(confidence, LEAST_CONFIDENCE)
         sure = np.where(error <= MAX_ERROR, depth, np.float32(0))
-        return UnsureView(sure, error, completed.camera.matrix, world_from_camera)
+        return UnsureView(sure, error, self.completed.camera.matrix, world_from_camera)
 
-    return view
-
-
-def _refine(
-    completed: CompletedSubmap,
-    place: int,
-    points: Callable[[int], SparseDepth],
-    first: Callable[[int], UnsureView],
-    completer: DepthCompleter,
-    store: DiskKeyframes,
-) -> None:
-    """Refine one keyframe and write it, unless that was done before the run was stopped."""
-    row = int(completed.rows[place])
-    index = int(completed.submap.frames[row])
-    if store.has_depth(index):
-        return
-    depth, confidence, world_from_camera = completed.depth(row)
-    refined, doubt = depth, confidence
-    if completer.can_refine:
-        near = (place + sign * step for step in STEPS for sign in (-1, 1))
-        others = [first(other) for other in near if 0 <= other < len(completed)]
-        cell = max(2, round(CELL * depth.shape[1]))
-        carried, carried_error = transferred(depth.shape, completed.camera.matrix, world_from_camera, others, cell)
-        sparse, error = points(row).maps(*depth.shape)
-        measured = sparse > 0
-        known = np.where(measured, sparse, carried), np.where(measured, error, carried_error)
-        refined, doubt = completer.refine(completed.rgb(row), *known, depth, confidence)
-        refined = towards_points(refined, error_from_confidence(doubt, LEAST_CONFIDENCE), sparse, error)
-    nothing = np.float32(0)
-    store.write_depth(index, np.where(depth > 0, refined, nothing), np.where(depth > 0, doubt, nothing))
+    def _view(self, place: int) -> View:
+        row = int(self.completed.rows[place])
+        depth, _, world_from_camera = self.completed.depth(row)
+        return view_of(self.completed.rgb(row), self.completed.mask(row), depth, world_from_camera)

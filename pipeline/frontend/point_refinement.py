@@ -30,6 +30,7 @@ from pipeline.matching.patch_alignment import (
     PatchViews,
     ReferencePatches,
     align_patches,
+    expected_error,
     groups,
     read_patches,
 )
@@ -39,7 +40,6 @@ VIEWS = 8  # frames with which the reference is compared, at most
 LEAST_VIEWS = 2  # that must correlate well, and more than half of those that there are
 MOST_ERROR = 0.1  # expected, of a depth that is taken,
 MOST_SHIFT = 0.3  # relative change of inverse depth
-PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.6, 43.0, 0.0037  # of the expected error: `_expected_error`
 UNSURE_EDGE = 3.0  # times the submap's median of sigma times contrast, above which a point is dropped
 CHUNK = 1000  # points aligned in one go: some fifty megabytes, mostly pictures
 AT_ONCE = 2  # chunks, each by a thread of its own
@@ -81,7 +81,7 @@ def refine_points(
 
     done = 0
     for mine, aligned in zip(chunks, prefetched(aligned_of, chunks, 1, AT_ONCE), strict=True):
-        expected = _expected_error(aligned)
+        expected = expected_error(aligned)
         confirmed = (aligned.correlating >= LEAST_VIEWS) & (2 * aligned.correlating > aligned.views)
         good = confirmed & (np.abs(aligned.shift) < MOST_SHIFT) & (expected < MOST_ERROR)
         centre = submap.centres[reference[mine]]
@@ -96,12 +96,6 @@ def refine_points(
     limit = UNSURE_EDGE * np.median(unsure[known]) if known.any() else np.inf
     contradicted = ~np.isfinite(error_px)  # moved to where a frame that saw it cannot
     return replace(refined, error_px=error_px).without_points((unsure > limit) | contradicted)
-
-
-def _expected_error(aligned: Alignment) -> Array:
-    """(P,) relative error of depth, 1 sigma. The residuals alone say too little of it: what a patch has wrong, its
-    slope or an edge in it, is wrong in all views alike. Fitted by maximum likelihood (Student's t of two degrees)."""
-    return np.hypot(aligned.sigma * np.hypot(PER_SIGMA, PER_SIGMA_CONTRAST * aligned.contrast), LEAST_ERROR)
 
 
 def _mean_reprojection(submap: Submap, rays: RayTable) -> Array:

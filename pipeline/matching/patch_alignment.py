@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.matching.patch_kernels import compare
+
 HALF_WIDTH = 4  # px; a patch has 9x9 pixels
 WINDOW_SIGMA = 2.5  # px
 SEARCH_PX, SEARCH_STEP_PX = 2.0, 1.0  # either way, in the view that moves most
@@ -23,6 +25,7 @@ LARGEST_STEP_PX = 0.7  # each
 LEAST_CORRELATION, FULL_CORRELATION = 0.5, 0.9  # of a view without a weight, and of one with all of it
 GOOD_CORRELATION = 0.6
 LEAST_CONTRAST = 0.5  # grey levels, below which a patch is flat
+PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.6, 43.0, 0.0037  # of the expected error: `expected_error`
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -92,6 +95,13 @@ def align_patches(
     return problem.judged(shift)
 
 
+def expected_error(aligned: Alignment) -> Array:
+    """(P,) relative error of depth, 1 sigma. The residuals alone say too little of it: what a patch has wrong, its
+    slope or an edge in it, is wrong in all views alike. Fitted by maximum likelihood (Student's t of two degrees) to
+    points of features on films kept for choosing (docs/lab/points.md)."""
+    return np.hypot(aligned.sigma * np.hypot(PER_SIGMA, PER_SIGMA_CONTRAST * aligned.contrast), LEAST_ERROR)
+
+
 def groups(numbers: NDArray[np.integer[Any]]) -> Iterator[tuple[int, slice]]:
     """Each number of the sorted (N,), none of which is negative, and where it stands."""
     starts = np.flatnonzero(np.diff(numbers, prepend=-1))
@@ -113,6 +123,17 @@ def _normalised(patches: Floats) -> tuple[Floats, Floats]:
     return centred / np.maximum(deviation, np.float32(LEAST_CONTRAST))[:, None], deviation
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """(V,) of each view: its correlation with the reference, its weight, the difference times the reference's
+    derivatives by x and y (V,2), and its square."""
+
+    correlation: Array
+    weight: Array
+    across: Array
+    squared: Array
+
+
 class _Problem:
     """Normalised reference patches, their derivatives by s in each view, and the views that they are compared with."""
 
@@ -123,7 +144,6 @@ class _Problem:
         self.patch, deviation = _normalised(reference.grey)
         self.contrast = (deviation / np.maximum(reference.grey @ WINDOW, 1)).astype(np.float64)
         scale: Floats = np.maximum(deviation, np.float32(LEAST_CONTRAST))[:, None]
-        self.weighted = self.patch * WINDOW
         self.by_x, self.by_y = (self._without_gain(d / scale) for d in (reference.by_x, reference.by_y))
         # A change of s moves what view v shows by this many pixels of the reference patch.
         self.along = np.linalg.solve(views.shape, views.motion[:, :, None])[:, :, 0]
@@ -134,7 +154,6 @@ class _Problem:
         fastest = np.zeros(self.count)
         np.maximum.at(fastest, views.patch, np.linalg.norm(views.motion, axis=1))
         self.per_px = np.where(fastest > 0, 1 / np.maximum(fastest, 1e-9), 0)  # change of s that moves by a pixel
-        self.warp = np.einsum("vij,kj->vki", views.shape, OFFSETS).astype(np.float32)
 
     def _without_gain(self, derivative: Floats) -> Floats:
         """Of the normalised patch: what changes neither its mean nor its deviation."""
@@ -145,52 +164,46 @@ class _Problem:
         """(P,) sums over the views of each patch."""
         return np.asarray(np.bincount(self.views.patch, values, minlength=self.count), np.float64)
 
-    def seen(self, shift: Array) -> tuple[Floats, Array, Array]:
-        """(V,K) normalised patches as the views show them with s = shift, their correlations and their weights (V,)."""
-        views = self.views
-        centre = (views.centre + views.motion * shift[views.patch][:, None]).astype(np.float32)
-        patches = np.empty(self.warp.shape[:2], np.float32)
+    def seen(self, shift: Array) -> _Seen:
+        """What the views show with s = shift (P,), compared with the reference patches."""
+        views, found = self.views, np.empty((len(self.views.patch), 4))
+        centre = views.centre + views.motion * shift[views.patch][:, None]
+        reference = self.patch, self.by_x, self.by_y
         for frame, mine in groups(views.frame):
-            picture = self.pictures[frame].astype(np.float32)
-            patches[mine] = _sampled(picture, centre[mine, None] + self.warp[mine])
-        patches, _ = _normalised(patches)
-        correlation = np.einsum("vk,vk->v", patches, self.weighted[views.patch]).astype(np.float64)
-        weight = (correlation - LEAST_CORRELATION) / (FULL_CORRELATION - LEAST_CORRELATION)
-        return patches, correlation, np.clip(weight, 0, 1)
+            here = centre[mine], views.shape[mine], OFFSETS, WINDOW, views.patch[mine]
+            compare(self.pictures[frame], *here, *reference, LEAST_CONTRAST, found[mine])
+        weight = (found[:, 0] - LEAST_CORRELATION) / (FULL_CORRELATION - LEAST_CORRELATION)
+        return _Seen(found[:, 0], np.clip(weight, 0, 1), found[:, 1:3], found[:, 3])
 
     def searched(self) -> Array:
         """(P,) the s of the greatest correlation, in whole steps."""
         best, chosen = np.full(self.count, -1.0), np.zeros(self.count)
         steps = np.arange(-SEARCH_PX, SEARCH_PX + SEARCH_STEP_PX / 2, SEARCH_STEP_PX)
         for moved in steps[np.argsort(np.abs(steps), kind="stable")]:  # none, where all are as good
-            total = self.summed(np.clip(self.seen(moved * self.per_px)[1], 0, 1))
+            total = self.summed(np.clip(self.seen(moved * self.per_px).correlation, 0, 1))
             better = total > best
             best[better], chosen[better] = total[better], moved
         return chosen * self.per_px
 
     def stepped(self, shift: Array) -> Array:
         """One Gauss-Newton step, of `LARGEST_STEP_PX` at most."""
-        patches, _, weight = self.seen(shift)
-        patch, (x, y) = self.views.patch, self.along.T
-        residual = (patches - self.patch[patch]) * WINDOW
-        across = [np.einsum("vk,vk->v", residual, part[patch]) for part in (self.by_x, self.by_y)]
-        slope = self.summed(weight * (x * across[0] + y * across[1]))
-        information = self.summed(weight * self.information)
+        seen = self.seen(shift)
+        slope = self.summed(seen.weight * (self.along * seen.across).sum(axis=1))
+        information = self.summed(seen.weight * self.information)
         largest = LARGEST_STEP_PX * self.per_px
         return shift - np.clip(slope / np.maximum(information, 1e-12), -largest, largest)
 
     def judged(self, shift: Array) -> Alignment:
         """How well the patches fit, and what the residuals say of the uncertainty of s."""
-        patches, correlation, weight = self.seen(shift)
-        squared = ((patches - self.patch[self.views.patch]) ** 2) @ WINDOW
-        total = np.maximum(self.summed(weight), 1e-9)
-        variance = self.summed(weight * squared) / total
-        information = INDEPENDENT_PIXELS * self.summed(weight * self.information)
+        seen = self.seen(shift)
+        total = np.maximum(self.summed(seen.weight), 1e-9)
+        variance = self.summed(seen.weight * seen.squared) / total
+        information = INDEPENDENT_PIXELS * self.summed(seen.weight * self.information)
         sigma = np.sqrt(variance / np.maximum(information, 1e-12))
         return Alignment(
             shift,
             sigma,
             np.bincount(self.views.patch, minlength=self.count),
-            np.bincount(self.views.patch[correlation > GOOD_CORRELATION], minlength=self.count),
+            np.bincount(self.views.patch[seen.correlation > GOOD_CORRELATION], minlength=self.count),
             self.contrast,
         )

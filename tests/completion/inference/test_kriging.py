@@ -137,12 +137,11 @@ def test_depth_that_is_not_finite_stays_and_harms_no_other():
     np.testing.assert_allclose(found[~broken], same[~broken], rtol=1e-6)
 
 
-def test_of_thousands_of_points_the_merged_ones_say_the_same(monkeypatch):
+def test_of_thousands_of_points_the_merged_ones_say_the_same():
     estimate = (WALL * np.exp(WAVE)).astype(np.float32)
     sparse, error = points_of(WALL, count=2000)
     few = towards_points(estimate, EXPECTED, sparse, error)
-    monkeypatch.setattr(kriging, "MOST_POINTS", 4000)
-    all_of_them = towards_points(estimate, EXPECTED, sparse, error)
+    all_of_them = towards_points(estimate, EXPECTED, sparse, error, most_points=4000)
     assert off(few, all_of_them).mean() < 0.1 * off(estimate).mean()
 
 

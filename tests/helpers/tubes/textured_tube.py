@@ -55,6 +55,16 @@ def render(world_from_camera, camera=CAMERA):
     return np.repeat(value[..., None], 3, axis=2).astype(np.uint8)
 
 
+def true_depth(world_from_camera):
+    """z-depth (H,W) of the tube through `CAMERA`: each pixel's ray with the cylinder; 0 beyond four radii."""
+    x, y = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(CAMERA.matrix).T @ world_from_camera[:3, :3].T
+    centre = world_from_camera[:3, 3]
+    a, b = (rays[..., :2] ** 2).sum(-1), (rays[..., :2] * centre[:2]).sum(-1)
+    z = (-b + np.sqrt(b * b - a * ((centre[:2] ** 2).sum() - RADIUS**2))) / np.maximum(a, 1e-9)
+    return np.where(z < 4 * RADIUS, z, 0).astype(np.float32)
+
+
 def run(images, seed=0, mask=MASK):
     odometry = Odometry(RayTable(CAMERA), seed)
     states = [odometry.process(k, image, odometry.view(image, mask)) for k, image in enumerate(images)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import pytest
 
 from completion.inference.completer import DepthCompleter
 from haustra.core.progress import SilentProgress
-from pipeline.config import Config, DepthSettings
+from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
 from pipeline.depth.multiview_stage import refine_depth
@@ -18,14 +19,15 @@ from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.run_folder.workspace import Workspace
 from tests.helpers.tiny_run import make_tiny_run
 
-ON = DepthSettings(multiview=True)
+ON = DepthSettings(multiview=True, photometric=False)
 FRAMES = SimpleNamespace(camera=SimpleNamespace(width=64))
 
 
 class Recorder:
     """Stands for a `DepthCompleter`: returns twice the depth and keeps what it was given."""
 
-    can_refine = True
+    can_refine, at_once = True, 1
+    working_side_by_side = nullcontext
 
     def __init__(self) -> None:
         self.calls: list[dict[str, np.ndarray]] = []
@@ -150,4 +152,5 @@ def test_refined_depth_is_corrected_by_the_keyframes_own_points(completed, monke
 
 def test_without_the_setting_nothing_is_done(completed) -> None:
     submap, workspace = completed
-    assert refine_depth(FRAMES, [submap], unwanted, Config().depth, workspace, SilentProgress()) == [submap]
+    off = DepthSettings(photometric=False)
+    assert refine_depth(FRAMES, [submap], unwanted, off, workspace, SilentProgress()) == [submap]
