@@ -78,7 +78,13 @@ def test_a_source_that_shows_nothing_leaves_the_folder_to_the_next_command(tmp_p
     assert [path.name for path in (tmp_path / "run").iterdir()] == [".lock"]
 
 
-@pytest.mark.parametrize("left", [("run.yaml", "live.json"), ("live.json", "film.mkv")], ids=["run", "session"])
+@pytest.mark.parametrize(
+    "left",
+    [
+        pytest.param(("run.yaml", "live.json"), id="run"),
+        pytest.param(("live.json", "film.mkv"), id="session", marks=pytest.mark.slow),
+    ],
+)
 def test_a_source_that_shows_nothing_leaves_what_it_was_to_replace(tmp_path, monkeypatch, left):
     """A mistyped address had removed a finished run, or the record without which no --resume finds its recording."""
     folder = tmp_path / "run"

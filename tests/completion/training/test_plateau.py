@@ -32,6 +32,7 @@ def test_cooling_fits_into_the_most_steps() -> None:
     assert run.steps == 1200
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_to_the_same_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     np.save(tmp_path / "images.npy", rng.integers(0, 255, (40, 32, 32, 3), dtype=np.uint8))

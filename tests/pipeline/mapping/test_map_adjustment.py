@@ -98,7 +98,7 @@ def missed(local_map):
     return np.concatenate(off)
 
 
-@pytest.mark.parametrize("scale", [0.93, 1.0, 1.1])
+@pytest.mark.parametrize("scale", [0.93, *(pytest.param(scale, marks=pytest.mark.slow) for scale in (1.0, 1.1))])
 def test_what_is_carried_along_sees_the_same(scale):
     """Again and again, as in a long film: rounding must not grow from one time to the next."""
     true = film(np.random.default_rng(1), 0.0)

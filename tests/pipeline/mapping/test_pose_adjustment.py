@@ -91,6 +91,7 @@ def test_corners_and_features_lie_on_the_wall(leaning, adjusted):
     assert missed.max() <= MAX_ERROR_PX  # and so no corner's error is infinite
 
 
+@pytest.mark.slow
 def test_the_axes_and_the_unit_stay(odometry, film):
     found = again(odometry, film)
     change = align_poses(found.world_from_camera, odometry.world_from_camera)

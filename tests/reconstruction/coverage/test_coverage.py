@@ -70,7 +70,7 @@ def test_a_hole_of_known_area_place_and_angle(shape, holed, holed_bend):
 @pytest.mark.parametrize(
     "start",
     [
-        pytest.param(start, marks=pytest.mark.slow) if k % 3 else start
+        pytest.param(start, marks=pytest.mark.slow) if k % 5 else start
         for k, start in enumerate(np.linspace(12, 96, 11))
     ],
 )

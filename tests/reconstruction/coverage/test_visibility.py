@@ -190,6 +190,7 @@ def test_the_pocket_behind_a_fold_stays_missed():
     assert viewed.clock == pytest.approx(6, abs=0.2)
 
 
+@pytest.mark.slow
 def test_the_answer_moves_and_scales_with_the_mesh():
     mesh, world_from_camera = tube(straight, HOLE), cameras(straight)
     content = np.ones((SIZE, SIZE), bool)

@@ -29,7 +29,7 @@ def touching(points, edge):
     return np.unique(np.concatenate([blocks_of(points + corner, edge) for corner in corners]))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_blocks_are_those_of_every_point_of_the_band(seed):
     rng = np.random.default_rng(seed)
     depth = tube_depth(5.0) * (rng.random((SIDE, SIDE)) > 0.2).astype(np.float32)

@@ -37,7 +37,7 @@ def made(fine):
     return light, textured(light, fine)
 
 
-@pytest.mark.parametrize("bound", [0.1, 0.4, 1.5])
+@pytest.mark.parametrize("bound", [0.4, *(pytest.param(bound, marks=pytest.mark.slow) for bound in (0.1, 1.5))])
 def test_no_vertex_is_farther_from_the_light_mesh_than_allowed(fine, bound):
     light, error = simplified(fine, bound)
     assert error <= bound

@@ -95,6 +95,7 @@ def test_a_unit_of_poses_that_few_see_from_is_doubted(given):
         assert "check" in scale_of_poses(1.0, away / median, submap).doubt
 
 
+@pytest.mark.slow
 def test_a_slow_film_has_points_in_all_its_keyframes(tmp_path):
     """Keyframes are many frames apart, and the others see nothing."""
     poses = np.stack([camera_at(0.12 * k) for k in range(80)])

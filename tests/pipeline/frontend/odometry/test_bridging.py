@@ -93,7 +93,7 @@ def test_a_smooth_tube_tells_nothing(folds, speed, begin):
     assert registered_over_gap(here, there, lambda k: cloud(k, folds, path=path)) is None
 
 
-@pytest.mark.parametrize("speed", [-0.45, 0.45])
+@pytest.mark.parametrize("speed", [0.45, pytest.param(-0.45, marks=pytest.mark.slow)])
 def test_a_gap_that_the_sensor_does_not_see_either_is_refused(speed):
     """The camera halts in it, and both velocities agree on a fold one period away, where the clouds fit as well."""
     path = (AHEAD if speed > 0 else BACK)[0], speed

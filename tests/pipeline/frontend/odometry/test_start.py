@@ -78,7 +78,7 @@ def test_a_map_that_the_light_contradicts_gets_no_second_start(tmp_path, monkeyp
     assert found.warnings == ()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_a_wall_that_moves_before_a_camera_at_rest_begins_no_map(seed):
     assert maps_of(moving_wall(6.0, seed), START_WITH_LITTLE_PARALLAX) == []
 

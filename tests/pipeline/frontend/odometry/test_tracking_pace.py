@@ -74,7 +74,9 @@ def test_with_a_guessed_lens_windows_are_adjusted_at_each_keyframe(adjusted):
     assert max(np.diff(frames[WINDOW:])) < 3
 
 
-@pytest.mark.parametrize("motion", [OdometrySettings().keyframe_motion, FAST_KEYFRAME_MOTION])
+@pytest.mark.parametrize(
+    "motion", [OdometrySettings().keyframe_motion, pytest.param(FAST_KEYFRAME_MOTION, marks=pytest.mark.slow)]
+)
 def test_keyframes_are_as_far_apart_as_asked(motion):
     """The corners of two neighbours moved by the share that was asked for, in the median, and by one frame's more at
     most. (The first ones are the start's.)"""

@@ -51,7 +51,7 @@ def opened(folder: Path, left: Path, right: Path) -> StereoSource:
     return StereoSource(left, StereoSettings(calibration=rig(folder), right=str(right)))
 
 
-@pytest.mark.parametrize("holed", ["left", "right"])
+@pytest.mark.parametrize("holed", [pytest.param("left", marks=pytest.mark.slow), "right"])
 def test_after_frames_that_one_film_lost_both_are_of_one_time(tmp_path: Path, holed: str) -> None:
     films = {eye: film(tmp_path, eye) for eye in EYES}
     without_packets(films[holed], range(23, 26))
@@ -64,7 +64,7 @@ def test_after_frames_that_one_film_lost_both_are_of_one_time(tmp_path: Path, ho
         assert any(note.startswith("right.ts: left out") for note in source.notes)
 
 
-@pytest.mark.parametrize("holed", ["left", "right"])
+@pytest.mark.parametrize("holed", ["left", pytest.param("right", marks=pytest.mark.slow)])
 def test_a_film_whose_first_picture_is_damaged_is_of_the_time_of_the_other(tmp_path: Path, holed: str) -> None:
     films = {
         eye: write_video(tmp_path / f"{eye}.mp4", frames, g="10", bf="0", sc_threshold="0")

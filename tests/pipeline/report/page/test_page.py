@@ -255,7 +255,7 @@ def test_a_run_of_many_submaps_stays_under_its_size(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("across", "side"),
-    [(0, -1), (1, 1), *(pytest.param(*other, marks=pytest.mark.slow) for other in [(0, 1), (1, -1)])],
+    [(0, -1), *(pytest.param(*other, marks=pytest.mark.slow) for other in [(1, 1), (0, 1), (1, -1)])],
 )
 def test_open_wall_is_first_seen_from_the_side_that_is_open(tmp_path, across, side):
     """Else all of it faces away, and "cut open" shows nothing: left, right, above and below the path."""
