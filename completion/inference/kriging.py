@@ -58,18 +58,26 @@ class _Points:
         return len(self.missed)
 
 
-def towards_points(depth: Image, expected: Image, sparse: Image, error: Image, most_points: int = MOST_POINTS) -> Image:
+def towards_points(
+    depth: Image,
+    expected: Image,
+    sparse: Image,
+    error: Image,
+    most_points: int = MOST_POINTS,
+    judges: NDArray[np.bool_] | None = None,
+) -> Image:
     """Dense depth (H,W), corrected; where it is 0, it stays 0.
 
     expected: (H,W) relative error that the network expects of it. sparse: (H,W) depth of points, 0 = none, in the same
     unit. error: (H,W) their relative standard deviations. Points of error `UNKNOWN` and more, those where one of the
     four is not finite, and such pixels count as none. most_points: beyond which those that are close are merged.
+    judges: (H,W) where points are asked whether their errors and the network's explain what they miss; None: all.
     """
-    points = _points_of(depth, expected, sparse, error)
-    share = _applied_share(points)
+    asked = sparse if judges is None else np.where(judges, sparse, np.float32(0))
+    share = _applied_share(_points_of(depth, expected, asked, error))
     if share == 0:
         return depth
-    points = _merged(points, most_points)
+    points = _merged(_points_of(depth, expected, sparse, error), most_points)
     variance = (SPREAD * float(np.median(points.expected))) ** 2
     covariance = _alike(points.place, points.place) * _alike_in_depth(points.log_depth, points.log_depth)
     weights = _kriging_weights(variance * covariance, points.missed, np.maximum(OWN_SHARE * points.error, LEAST_ERROR))

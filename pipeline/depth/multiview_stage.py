@@ -133,10 +133,12 @@ class _Refinement:
             carried = self._with_carried(place, sparse, error)
             refined, doubt = self.completer.refine(self.completed.rgb(row), *carried, depth, confidence)
             depth, confidence = np.where(known, refined, nothing), np.where(known, doubt, nothing)
+        own = sparse > 0
         if self.photometric:
             sparse, error = self._with_photometric(place, depth, sparse, error)
         expected = error_from_confidence(confidence, LEAST_CONFIDENCE)
-        return towards_points(depth, expected, sparse, error, MOST_POINTS), confidence
+        # Whether the wall moved is judged by the keyframe's own points, whose errors are known better.
+        return towards_points(depth, expected, sparse, error, MOST_POINTS, own), confidence
 
     def _with_carried(self, place: int, sparse: Image, error: Image) -> tuple[Image, Image]:
         """Points (H,W) and their errors, and where there is none, those that neighbours' depths give."""

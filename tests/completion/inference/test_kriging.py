@@ -188,3 +188,19 @@ def test_a_completer_follows_points_whose_errors_are_told(monkeypatch):
     assert np.array_equal(completer(rgb, sparse)[0], untold[0])
     assert not np.array_equal(completer(rgb, sparse, error)[0], told[0])
     assert np.array_equal(completer(rgb, sparse, error)[1], told[1])  # the confidence stays the network's
+
+
+def test_points_that_are_not_asked_do_not_stop_the_correction_and_cannot_start_it(monkeypatch):
+    """Of two halves of the points one explains what it misses, the other does not."""
+    estimate = (WALL * np.exp(WAVE)).astype(np.float32)
+    sparse, error = points_of(WALL)
+    wild, _ = points_of(WALL, noise=0.05)
+    left = COLUMNS % 2 == 0
+    mixed = np.where(left, sparse, wild)
+    assert np.array_equal(towards_points(estimate, EXPECTED, mixed, error, judges=~left), estimate)
+    assert np.array_equal(towards_points(estimate, EXPECTED, sparse, error, judges=np.zeros_like(left)), estimate)
+    corrected = towards_points(estimate, EXPECTED, mixed, error, judges=left)
+    monkeypatch.setattr(kriging, "EXPLAINED", 1e3)
+    monkeypatch.setattr(kriging, "UNEXPLAINED", 1e4)
+    assert np.array_equal(towards_points(estimate, EXPECTED, mixed, error), corrected)
+    assert not np.array_equal(corrected, estimate)
