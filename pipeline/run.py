@@ -87,6 +87,8 @@ def reconstruct(
         complete, refine = timed("depth", complete_depth), timed("depth from several views", refine_depth)
         close = timed("loop closing", close_loops_stage)
         completed = complete(frames, retriangulated, preparation.completer, config.depth, workspace, progress)
+        if not config.depth.multiview:
+            preparation.forget()  # no network refines depth
         completed = refine(frames, completed, preparation.completer, config.depth, workspace, progress)
         preparation.forget()
         completed = close(frames, completed, config.loop_closing, config.seed, workspace, progress)

@@ -161,8 +161,10 @@ class DepthCompleter:
         rgb: NDArray[np.uint8],
         sparse_depth: NDArray[np.float32],
         sparse_error: NDArray[np.float32] | None = None,
+        corrected: bool = True,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """As `__call__`, of B frames of one size: each array has a first axis B."""
+        """As `__call__`, of B frames of one size: each array has a first axis B. corrected: False leaves the correction
+        by the points to the caller."""
         _check_shapes(rgb, sparse_depth, sparse_error)
         sparse, trust = valid_points(sparse_depth, sparse_error)
         points = np.count_nonzero(sparse, axis=(1, 2))
@@ -173,7 +175,7 @@ class DepthCompleter:
             depth[here], error[here] = self._resized(float(factor), rgb[here], sparse[here], trust[here])
         known = points[:, None, None] > 0
         depth *= known
-        if sparse_error is not None:
+        if sparse_error is not None and corrected:
             frames = zip(depth, error, sparse, sparse_error, strict=True)
             depth = np.stack([towards_points(*frame) for frame in frames])
         return depth, confidence_from_error(error) * known

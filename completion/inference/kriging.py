@@ -64,20 +64,20 @@ def towards_points(
     sparse: Image,
     error: Image,
     most_points: int = MOST_POINTS,
-    judges: NDArray[np.bool_] | None = None,
+    share: float | None = None,
 ) -> Image:
     """Dense depth (H,W), corrected; where it is 0, it stays 0.
 
     expected: (H,W) relative error that the network expects of it. sparse: (H,W) depth of points, 0 = none, in the same
     unit. error: (H,W) their relative standard deviations. Points of error `UNKNOWN` and more, those where one of the
     four is not finite, and such pixels count as none. most_points: beyond which those that are close are merged.
-    judges: (H,W) where points are asked whether their errors and the network's explain what they miss; None: all.
+    share: of the correction that is applied; None: `explained_share` of these points.
     """
-    asked = sparse if judges is None else np.where(judges, sparse, np.float32(0))
-    share = _applied_share(_points_of(depth, expected, asked, error))
-    if share == 0:
+    points = _points_of(depth, expected, sparse, error)
+    share = _share_of(points) if share is None else share
+    if share == 0 or len(points) == 0:
         return depth
-    points = _merged(_points_of(depth, expected, sparse, error), most_points)
+    points = _merged(points, most_points)
     variance = (SPREAD * float(np.median(points.expected))) ** 2
     covariance = _alike(points.place, points.place) * _alike_in_depth(points.log_depth, points.log_depth)
     weights = _kriging_weights(variance * covariance, points.missed, np.maximum(OWN_SHARE * points.error, LEAST_ERROR))
@@ -118,8 +118,14 @@ def _one_of_each(points: _Points, group: NDArray[np.int64]) -> _Points:
     return _Points(place, mean(points.log_depth), mean(points.missed), surest, mean(points.expected))
 
 
-def _applied_share(points: _Points) -> float:
-    """From 0 to 1, by `EXPLAINED`; 0 of fewer than three points."""
+def explained_share(depth: Image, expected: Image, sparse: Image, error: Image) -> float:
+    """From 0 to 1, how much of a correction is applied: by whether the points' errors and the network's explain what
+    the points are missed by (`EXPLAINED`); 0 of fewer than three points. Arrays (H,W) as of `towards_points`, the
+    depth not yet corrected by these points."""
+    return _share_of(_points_of(depth, expected, sparse, error))
+
+
+def _share_of(points: _Points) -> float:
     if len(points) < 3:
         return 0.0
     explained = np.hypot(np.maximum(points.error, LEAST_ERROR), points.expected)

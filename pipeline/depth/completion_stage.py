@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -98,6 +99,11 @@ def _complete_all(
     workspace: Workspace,
     progress: Progress,
 ) -> None:
+    if settings.has_second_pass:
+        for folder in (workspace.depth, workspace.confidence):
+            shutil.rmtree(
+                folder, ignore_errors=True
+            )  # of a stopped run of a version without it: nothing is refined yet
     width, motion, planned = frames.camera.width, settings.keyframe_motion, []
     for submap, least in zip(submaps, least_of_each([len(one.frames) for one in submaps]), strict=True):
         planned.append(_planned(frames, submap, choose_keyframes(submap, width, motion, least), workspace))
@@ -139,7 +145,8 @@ def _complete(
     missing = enough if any(not store.has_depth(index[row]) for row in enough) else []
     inside = inside_of(content)
     maps = [sparse[row].maps(*content.shape) for row in missing]
-    for row, depth, confidence in zip(missing, *_predicted([submap.rgb(row) for row in missing], maps, completer)):
+    rgb, corrected = [submap.rgb(row) for row in missing], not store.first  # first depths are corrected when refined
+    for row, depth, confidence in zip(missing, *_predicted(rgb, maps, completer, corrected)):
         kept = (np.where(inside, values, np.float32(0)) for values in (depth, confidence))
         store.write_depth(index[row], *kept)
     return [(row, row in index) for row in rows]
@@ -151,10 +158,13 @@ def inside_of(content: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _predicted(
-    rgb: list[NDArray[np.uint8]], maps: list[tuple[NDArray[np.float32], NDArray[np.float32]]], completer: DepthCompleter
+    rgb: list[NDArray[np.uint8]],
+    maps: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+    completer: DepthCompleter,
+    corrected: bool,
 ) -> tuple[Iterable[NDArray[np.float32]], Iterable[NDArray[np.float32]]]:
     """Depth and confidence of frames of one size, each (H,W)."""
     if not rgb:
         return (), ()
     depth, error = zip(*maps, strict=True)
-    return completer.batch(np.stack(rgb), np.stack(depth), np.stack(error))
+    return completer.batch(np.stack(rgb), np.stack(depth), np.stack(error), corrected)

@@ -2,9 +2,10 @@
 
 A keyframe's points are few and noisy, and what is plain wall passes their noise on. Its neighbours saw the same wall
 from elsewhere. Their pictures say where patches of this one fit them (`photometric_points.py`): points by which its
-depth is corrected. On request, their first depths are carried over as points with errors before that
-(`reconstruction.fusion.depth_transfer`), and the network refines the first depth with them. First depths stay on disk
-until all are refined, so that no refined one depends on another and a stopped run goes on to the same bytes.
+depth is corrected, after its own. On request, their first depths are carried over as points with errors before that
+(`reconstruction.fusion.depth_transfer`), and the network refines the first depth with them. First depths are not
+corrected, and stay on disk until all are refined, so that no refined one depends on another and a stopped run goes on
+to the same bytes.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from completion.confidence import error_from_confidence
-from completion.inference.kriging import towards_points
+from completion.inference.kriging import explained_share, towards_points
 from haustra.core.progress import Progress, SilentProgress
 from haustra.core.threads import prefetched, single_threaded, workers
 from pipeline.config import DepthSettings
@@ -80,8 +81,8 @@ def _refine_all(
     progress: Progress,
 ) -> None:
     store, sensor = DiskKeyframes(workspace), open_sensor(workspace, frames.camera.width)
-    # What a sensor measured holds depth better than patches do.
-    photometric, at_once = photometric and sensor is None, workers() if completer is None else completer.at_once
+    photometric = photometric and sensor is None  # what a sensor measured holds depth better than patches do
+    at_once = workers() if completer is None else completer.at_once
     done, total = 0, sum(len(one) for one in completed)
     with ExitStack() as stack:
         advance = stack.enter_context(progress.bar("depth from several views", total))
@@ -111,8 +112,9 @@ class _Refinement:
     ) -> None:
         self.completed, self.points, self.photometric, self.store = completed, points, photometric, store
         self.completer = completer if completer is not None and completer.can_refine else None
+        # A cached method would hold this object, and it the caches with their pictures, until garbage collection.
         held = lru_cache(2 * max(STEPS) + 2 + workers())
-        self.unsure_view, self.view = held(self._unsure_view), held(self._view)
+        self._unsure_view, self._view = held(partial(_unsure_view, completed)), held(partial(_view, completed))
 
     def __call__(self, place: int) -> None:
         """Refine one keyframe and write it, unless that was done before the run was stopped."""
@@ -121,28 +123,28 @@ class _Refinement:
         if self.store.has_depth(index):
             return
         depth, confidence, _ = self.completed.depth(row)
-        if self.completer is not None or self.photometric:
-            depth, confidence = self._refined(place, row, depth, confidence)
-        self.store.write_depth(index, depth, confidence)
-
-    def _refined(self, place: int, row: int, depth: Image, confidence: Image) -> tuple[Image, Image]:
-        """Depth and confidence (H,W) anew; where there was no depth, there is none."""
         sparse, error = self.points(row).maps(*depth.shape)
-        known, nothing = depth > 0, np.float32(0)
         if self.completer is not None:
             carried = self._with_carried(place, sparse, error)
             refined, doubt = self.completer.refine(self.completed.rgb(row), *carried, depth, confidence)
+            known, nothing = depth > 0, np.float32(0)
             depth, confidence = np.where(known, refined, nothing), np.where(known, doubt, nothing)
-        own = sparse > 0
-        if self.photometric:
-            sparse, error = self._with_photometric(place, depth, sparse, error)
+        self.store.write_depth(index, self._corrected(place, depth, confidence, sparse, error), confidence)
+
+    def _corrected(self, place: int, depth: Image, confidence: Image, sparse: Image, error: Image) -> Image:
+        """Depth (H,W) corrected by its own points (H,W), then by those and photometric ones. Whether the wall moved is
+        judged once, before that, and by its own points, whose errors are known better."""
         expected = error_from_confidence(confidence, LEAST_CONFIDENCE)
-        # Whether the wall moved is judged by the keyframe's own points, whose errors are known better.
-        return towards_points(depth, expected, sparse, error, MOST_POINTS, own), confidence
+        share = explained_share(depth, expected, sparse, error)
+        depth = towards_points(depth, expected, sparse, error, share=share)
+        if share == 0 or not self.photometric:
+            return depth
+        points = self._with_photometric(place, depth, sparse, error)
+        return towards_points(depth, expected, *points, MOST_POINTS, share)
 
     def _with_carried(self, place: int, sparse: Image, error: Image) -> tuple[Image, Image]:
         """Points (H,W) and their errors, and where there is none, those that neighbours' depths give."""
-        others = [self.unsure_view(other) for other in self._around(place)]
+        others = [self._unsure_view(other) for other in self._around(place)]
         pose = self.completed.submap.world_from_camera[self.completed.rows[place]]
         cell = max(2, round(CELL * sparse.shape[1]))
         carried, carried_error = transferred(sparse.shape, self.completed.camera.matrix, pose, others, cell)
@@ -150,8 +152,8 @@ class _Refinement:
 
     def _with_photometric(self, place: int, depth: Image, sparse: Image, error: Image) -> tuple[Image, Image]:
         """Points (H,W) and their errors, and where there is none, those that neighbours' pictures confirm."""
-        others = [self.view(other) for other in self._around(place)]
-        own = replace(self.view(place), depth=depth)
+        others = [self._view(other) for other in self._around(place)]
+        own = replace(self._view(place), depth=depth)
         fitted, fitted_error = photometric_points(own, others, self.completed.camera.matrix).maps(*depth.shape)
         return np.where(sparse > 0, sparse, fitted), np.where(sparse > 0, error, fitted_error)
 
@@ -159,14 +161,16 @@ class _Refinement:
         near = (place + sign * step for step in STEPS for sign in (-1, 1))
         return [other for other in near if 0 <= other < len(self.completed)]
 
-    def _unsure_view(self, place: int) -> UnsureView:
-        """The first depth of a keyframe, without what is too unsure to be carried over."""
-        depth, confidence, world_from_camera = self.completed.depth(int(self.completed.rows[place]))
-        error = error_from_confidence(confidence, LEAST_CONFIDENCE)
-        sure = np.where(error <= MAX_ERROR, depth, np.float32(0))
-        return UnsureView(sure, error, self.completed.camera.matrix, world_from_camera)
 
-    def _view(self, place: int) -> View:
-        row = int(self.completed.rows[place])
-        depth, _, world_from_camera = self.completed.depth(row)
-        return view_of(self.completed.rgb(row), self.completed.mask(row), depth, world_from_camera)
+def _unsure_view(completed: CompletedSubmap, place: int) -> UnsureView:
+    """The first depth of a keyframe, without what is too unsure to be carried over."""
+    depth, confidence, world_from_camera = completed.depth(int(completed.rows[place]))
+    error = error_from_confidence(confidence, LEAST_CONFIDENCE)
+    sure = np.where(error <= MAX_ERROR, depth, np.float32(0))
+    return UnsureView(sure, error, completed.camera.matrix, world_from_camera)
+
+
+def _view(completed: CompletedSubmap, place: int) -> View:
+    row = int(completed.rows[place])
+    depth, _, world_from_camera = completed.depth(row)
+    return view_of(completed.rgb(row), completed.mask(row), depth, world_from_camera)

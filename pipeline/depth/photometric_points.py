@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.matching.patch_alignment import (
@@ -41,28 +41,27 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class View:
-    """A keyframe: grey (H,W); clear (H,W), 1 where a patch that moves as far as it is looked for touches nothing that
-    is masked or without depth; depth (H,W) scene units, 0 = none; world_from_camera (4,4)."""
+    """A keyframe: grey (H,W); clearance (H,W) px to the nearest pixel that is masked or without depth, or beyond the
+    border; depth (H,W) scene units, 0 = none; world_from_camera (4,4)."""
 
     grey: Picture
-    clear: Picture
+    clearance: Image
     depth: Image
     world_from_camera: Array
 
 
 def view_of(rgb: Picture, mask: Picture, depth: Image, world_from_camera: Array) -> View:
     """Of a rectified keyframe: rgb (H,W,3), mask (H,W), 0 at the border and on highlights, and its depth."""
-    size = 2 * int(HALF_WIDTH + SEARCH_PX) + 1
-    known = ((mask > 0) & (depth > 0)).astype(np.uint8)
-    clear = cv2.erode(known, np.ones((size, size), np.uint8), borderValue=0)
-    return View(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), clear, depth, world_from_camera)
+    known = np.pad(((mask > 0) & (depth > 0)).astype(np.uint8), 1)
+    clearance = cv2.distanceTransform(known, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return View(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), clearance, depth, world_from_camera)
 
 
 def photometric_points(view: View, others: Sequence[View], intrinsics: Array) -> SparseDepth:
     """Points of `view` whose depth its neighbours' pictures confirm, with their expected relative errors.
 
-    intrinsics (3,3) of all views, COLMAP's convention. Poses are held fixed. Errors are fitted to points of features;
-    these here are off by 1.0 to 3.4 times as much as they let expect, on films kept for choosing.
+    intrinsics (3,3) of all views, COLMAP's convention. Poses are held fixed. Errors are fitted to points of
+    features, and too small for these (docs/lab/photometric.md).
     """
     pixels = _grid(view)
     inverse_depth, slopes = _wall(view.depth, pixels)
@@ -79,12 +78,18 @@ def photometric_points(view: View, others: Sequence[View], intrinsics: Array) ->
 
 
 def _grid(view: View) -> Array:
-    """(P,2) pixel centres a cell apart, where a patch is clear."""
+    """(P,2) pixel centres a cell apart, where a patch shows wall alone."""
     height, width = view.depth.shape
     step = max(2, round(CELL * max(height, width)))
     y, x = (index.ravel() for index in np.mgrid[step // 2 : height : step, step // 2 : width : step])
-    clear = view.clear[y, x] > 0
+    clear = view.clearance[y, x] >= _reach(1.0)
     return np.column_stack([x[clear], y[clear]]) + 0.5
+
+
+def _reach(scale: ArrayLike) -> Array:
+    """px from its middle that a patch shows where it is looked for, magnified by `scale`. Its corners reach farther,
+    and weigh less than a tenth of the middle."""
+    return np.asarray(HALF_WIDTH * np.asarray(scale) + SEARCH_PX)
 
 
 def _wall(depth: Image, pixels: Array) -> tuple[Array, Array]:
@@ -110,7 +115,8 @@ def _probes(view: View, pixels: Array, inverse_depth: Array, slopes: Array, intr
 
 
 def _seen_in(other: View, world: Array, intrinsics: Array) -> PatchViews:
-    """Pictures of patches in another view (its number is still 0), where it shows them whole and on the wall it has."""
+    """Pictures of patches in another view (its number is still 0), where it shows them clear of what is masked, and on
+    the wall that it has."""
     pose = other.world_from_camera
     local = (world - pose[:3, 3]) @ pose[:3, :3]
     before: NDArray[np.bool_] = np.asarray((local[..., 2] > LEAST_DEPTH).all(axis=1))
@@ -121,7 +127,8 @@ def _seen_in(other: View, world: Array, intrinsics: Array) -> PatchViews:
     height, width = other.depth.shape
     within: NDArray[np.bool_] = before & (centre >= 0).all(axis=1) & (centre < [width, height]).all(axis=1)
     x, y = np.clip(np.floor(np.where(within[:, None], centre, 0)), 0, [width - 1, height - 1]).astype(int).T
-    own = np.where(other.clear[y, x] > 0, other.depth[y, x], np.inf)  # where it is clear, there is depth
+    clear = other.clearance[y, x] >= _reach(np.linalg.norm(shape, 2, axis=(1, 2)))
+    own = np.where(clear, other.depth[y, x], np.inf)  # where it is clear, there is depth
     same_wall = np.abs(depth[:, 0] / own - 1) < SAME_WALL
     shown = within & same_wall & (np.linalg.det(shape) > LEAST_AREA)
     patch = np.flatnonzero(shown)

@@ -1,6 +1,6 @@
 """Compiled loop over the pictures of patches in one frame, for their alignment (`patch_alignment.py`)."""
 
-from math import floor, sqrt
+from math import floor, isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -43,11 +43,14 @@ def compare(
 
     offsets (K,2), window (K,) of sum 1; reference (P,K) normalised patches and their derivatives by_x, by_y (P,K).
     found (N,4) is written: the correlation, the products of the difference with by_x and by_y, and its square, each
-    summed under the window.
+    summed under the window; 0 where centre or shape is not finite.
     """
     count = len(window)
     grey = np.empty(count)
     for v in range(len(patch)):
+        found[v, :] = 0.0
+        if not isfinite(centre[v].sum() + shape[v].sum()):
+            continue
         mean, p = 0.0, patch[v]
         for k in range(count):
             x = centre[v, 0] + shape[v, 0, 0] * offsets[k, 0] + shape[v, 0, 1] * offsets[k, 1] - 0.5

@@ -22,7 +22,9 @@ from pipeline.cli import main as cli
 from pipeline.compare import compare_run
 from pipeline.config import load_config
 from pipeline.demo import CAMERA, FOLDER, VIDEO
+from pipeline.depth import multiview_stage
 from pipeline.depth.completion_stage import load_completed
+from pipeline.depth.photometric_points import photometric_points
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.finished_run import open_run
 from pipeline.frontend.points_stage import load_points
@@ -66,6 +68,7 @@ def test_every_artefact_of_the_contract_is_there(finished):
         "structure",
         "points",
         "depth",
+        "multiview",
         "motion",
         "surface",
         "coverage",
@@ -86,6 +89,7 @@ def test_a_profile_names_every_stage_and_is_on_the_page(finished):
         "structure",
         "points",
         "depth",
+        "depth from several views",
         "loop closing",
         "motion",
         "surface",
@@ -213,8 +217,9 @@ class StopAtOnce(SilentProgress):
         yield advance
 
 
-def test_a_second_run_that_is_stopped_three_times_ends_the_same_to_the_bit(finished, tmp_path, monkeypatch):
-    """Ctrl-C in COLMAP, in completion after some keyframes, then in fusion; each resume keeps what was done."""
+def test_a_second_run_that_is_stopped_four_times_ends_the_same_to_the_bit(finished, tmp_path, monkeypatch):
+    """Ctrl-C in COLMAP, in completion and in its second pass after some keyframes, then in fusion; each resume keeps
+    what was done."""
     calls = []
     complete = DepthCompleter.batch
 
@@ -223,6 +228,12 @@ def test_a_second_run_that_is_stopped_three_times_ends_the_same_to_the_bit(finis
         if len(calls) == 4:
             raise KeyboardInterrupt
         return complete(self, *arrays)
+
+    def stop_at_the_third(*arguments):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return photometric_points(*arguments)
 
     folder = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
@@ -233,8 +244,16 @@ def test_a_second_run_that_is_stopped_three_times_ends_the_same_to_the_bit(finis
         patch.setattr(DepthCompleter, "batch", stop_at_the_fourth)
         with pytest.raises(KeyboardInterrupt):
             reconstruct(VIDEO, folder, tiny_config(), resume=True)
+    completed = {p: p.stat().st_mtime_ns for p in (folder / "first_depth").glob("*[0-9].png")}
+    assert 2 <= len(completed) <= 4  # those beside the stopped one are ended; the network's first call is no keyframe
+    calls.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(multiview_stage, "photometric_points", stop_at_the_third)
+        with pytest.raises(KeyboardInterrupt):
+            reconstruct(VIDEO, folder, tiny_config(), resume=True)
+    assert {p: p.stat().st_mtime_ns for p in (folder / "first_depth").glob("*[0-9].png")}.items() >= completed.items()
     first = {p.name: p.stat().st_mtime_ns for p in (folder / "depth").glob("*.png")}
-    assert 2 <= len(first) <= 4  # those beside the stopped one are ended; the network's first call is no keyframe
+    assert 1 <= len(first) <= 4
     with monkeypatch.context() as patch:
         patch.setattr(surface, "fuse_submap", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):

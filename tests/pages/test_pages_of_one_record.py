@@ -1,6 +1,7 @@
 """Committed pages are what their scripts print of their records."""
 
 import json
+import runpy
 from pathlib import Path
 
 import pytest
@@ -43,3 +44,11 @@ def test_the_page_on_unknown_lenses_is_what_its_records_say() -> None:
 def test_the_page_on_completion_is_what_its_records_say() -> None:
     told = "run: python -m scripts.pages.completion_page > docs/lab/completion.md"
     assert completion_page.page() == (LAB / "completion.md").read_text(encoding="utf-8"), told
+
+
+@pytest.mark.parametrize("name", ["hovering", "pose_adjustment", "kriging", "photometric"])
+def test_a_page_on_two_versions_is_what_its_record_says(name, capsys) -> None:
+    script = f"scripts.pages.surface.{name}_page"
+    runpy.run_module(script, run_name="__main__")
+    told = f"run: python -m {script} > docs/lab/{name}.md"
+    assert capsys.readouterr().out == (LAB / f"{name}.md").read_text(encoding="utf-8"), told

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from completion.confidence import error_from_confidence
 from completion.inference import completer as completer_module
 from completion.inference import kriging
 from completion.inference.completer import DepthCompleter
-from completion.inference.kriging import EXPLAINED, UNEXPLAINED, towards_points
+from completion.inference.kriging import EXPLAINED, UNEXPLAINED, explained_share, towards_points
 
 SIZE = 64
 
@@ -190,17 +191,30 @@ def test_a_completer_follows_points_whose_errors_are_told(monkeypatch):
     assert np.array_equal(completer(rgb, sparse, error)[1], told[1])  # the confidence stays the network's
 
 
-def test_points_that_are_not_asked_do_not_stop_the_correction_and_cannot_start_it(monkeypatch):
-    """Of two halves of the points one explains what it misses, the other does not."""
+def test_a_share_that_is_given_is_applied_whatever_the_points_say():
+    """Judged by every second point; of all of them the others contradict the network, and are sure."""
     estimate = (WALL * np.exp(WAVE)).astype(np.float32)
     sparse, error = points_of(WALL)
     wild, _ = points_of(WALL, noise=0.05)
     left = COLUMNS % 2 == 0
     mixed = np.where(left, sparse, wild)
-    assert np.array_equal(towards_points(estimate, EXPECTED, mixed, error, judges=~left), estimate)
-    assert np.array_equal(towards_points(estimate, EXPECTED, sparse, error, judges=np.zeros_like(left)), estimate)
-    corrected = towards_points(estimate, EXPECTED, mixed, error, judges=left)
-    monkeypatch.setattr(kriging, "EXPLAINED", 1e3)
-    monkeypatch.setattr(kriging, "UNEXPLAINED", 1e4)
-    assert np.array_equal(towards_points(estimate, EXPECTED, mixed, error), corrected)
-    assert not np.array_equal(corrected, estimate)
+    assert explained_share(estimate, EXPECTED, np.where(left, sparse, 0), error) == 1
+    assert explained_share(estimate, EXPECTED, np.where(left, 0, wild), error) == 0
+    whole, half = (np.log(towards_points(estimate, EXPECTED, mixed, error, share=s) / estimate) for s in (1.0, 0.5))
+    np.testing.assert_allclose(half, whole / 2, atol=1e-6)
+    assert np.abs(whole).max() > 0.01
+    assert np.array_equal(towards_points(estimate, EXPECTED, sparse, error, share=0.0), estimate)
+    nothing = np.zeros_like(sparse)
+    assert np.array_equal(towards_points(estimate, EXPECTED, nothing, nothing, share=1.0), estimate)
+
+
+def test_a_completer_leaves_the_correction_to_the_caller_where_it_is_asked_to():
+    completer = DepthCompleter.load("mscsa", "cpu", "fp32", iterations=1)
+    rgb = np.clip(4e4 / WALL**2, 0, 255)[..., None].repeat(3, 2).astype(np.uint8)
+    frame = [array[None] for array in (rgb, *points_of(WALL))]
+    plain, confidence = completer.batch(*frame, corrected=False)
+    expected = error_from_confidence(confidence[0], 1e-6)
+    corrected, same = completer.batch(*frame)
+    assert np.array_equal(same, confidence)
+    np.testing.assert_allclose(towards_points(plain[0], expected, *(a[0] for a in frame[1:])), corrected[0], rtol=1e-3)
+    assert not np.allclose(plain, corrected, rtol=1e-3)

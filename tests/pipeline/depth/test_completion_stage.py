@@ -1,12 +1,17 @@
 """Keyframes completed in batches, as on a GPU, and one by one, as on a CPU: the same frames are kept and written."""
 
+from contextlib import nullcontext
 from functools import partial
 
 import numpy as np
 import pytest
 
 from completion.inference.completer import DepthCompleter
+from haustra.core.progress import SilentProgress
+from pipeline.config import DepthSettings
 from pipeline.depth import completion_stage
+from pipeline.depth.completion_stage import complete_depth
+from pipeline.depth.depth_io import read_depth
 from pipeline.depth.keyframe_store import DiskKeyframes
 from pipeline.depth.sparse_depth import SparseDepth
 from tests.helpers.tiny_run import SIDE, make_tiny_run
@@ -40,3 +45,28 @@ def test_a_batch_gives_what_its_frames_give_alone(tmp_path, size: int) -> None:
         results[name] = [store.depth(int(submap.submap.frames[row])) for row in kept]
     for one, other in zip(results["alone"], results["batches"], strict=True):
         np.testing.assert_allclose(one, other, rtol=2e-3)  # two steps of the depth on disk
+
+
+class Constant:
+    """Stands for a `DepthCompleter`: depth is 1 everywhere."""
+
+    at_once = batch_size = 1
+    working_side_by_side = nullcontext
+
+    def batch(self, rgb, sparse, error, corrected):
+        return np.ones_like(sparse), np.full_like(sparse, 0.5)
+
+
+@pytest.mark.parametrize("photometric", [True, False])
+def test_depth_of_a_stopped_run_is_kept_only_where_no_pass_follows(tmp_path, photometric: bool) -> None:
+    """What lies among the final depths then is of a version without the second pass, and was not refined."""
+    run = make_tiny_run(tmp_path / "run", first=24, second=8)
+    workspace, submaps = run.workspace, [one.submap for one in run.completed]
+    workspace.record["stages"].pop(completion_stage.STAGE, None)
+    settings = DepthSettings(photometric=photometric, keyframe_motion=1e-3)
+    complete_depth(run.frames, submaps, Constant, settings, workspace, SilentProgress())
+    made = workspace.first_depth if photometric else workspace.depth
+    assert len(list(made.glob("*[0-9].png"))) > 8
+    assert workspace.depth.exists() != photometric
+    values = {float(np.median(read_depth(path))) for path in made.glob("*[0-9].png") if "confidence" not in path.name}
+    assert (values == {1.0}) == photometric

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from pipeline.depth.photometric_points import photometric_points, view_of
-from pipeline.matching.patch_alignment import HALF_WIDTH
+from pipeline.depth.photometric_points import _grid, _seen_in, photometric_points, view_of
+from pipeline.matching.patch_alignment import HALF_WIDTH, SEARCH_PX, Alignment
 from tests.helpers.tubes.textured_tube import CAMERA, MASK, SIZE, camera_at, render, true_depth
 
 PLACES = (0, 2, 5, 8, 10)
@@ -92,3 +93,53 @@ def test_two_calls_agree(views):
     first, second = (photometric_points(views[OWN], others(views), INTRINSICS) for _ in range(2))
     for name, values in vars(first).items():
         np.testing.assert_array_equal(values, getattr(second, name))
+
+
+def test_only_points_that_most_views_confirm_and_that_are_sure_enough_are_taken(views, monkeypatch):
+    """Of five patches one has too few views that correlate, one no majority, one a great shift, one a great error."""
+
+    def aligned(reference, *_):
+        count = len(reference.grey)
+        shift, sigma, contrast = np.zeros(count), np.full(count, 0.001), np.full(count, 0.05)
+        seen, correlating = np.full(count, 6), np.full(count, 4)
+        seen[1], correlating[1] = 1, 1
+        correlating[2] = 3
+        shift[3], sigma[4] = 0.2, 0.2
+        return Alignment(shift, sigma, seen, correlating, contrast)
+
+    monkeypatch.setattr("pipeline.depth.photometric_points.align_patches", aligned)
+    all_of_them = _grid(views[OWN])
+    points = photometric_points(views[OWN], others(views), INTRINSICS)
+    np.testing.assert_array_equal(points.pixels, np.delete(all_of_them, [1, 2, 3, 4], axis=0))
+
+
+@pytest.mark.parametrize(("at", "turned", "seen"), [(0.0, 0, True), (20.0, 180, False)], ids=["before", "behind"])
+def test_a_patch_is_not_compared_with_a_view_of_its_back(at, turned, seen):
+    """Of a wall at z = 10, from either side; both views have depth 10 there."""
+    pixels = np.array([[90.5, 90.5], [100.5, 96.5]])
+    steps = np.array([[0, 0], [2, 0], [0, 2], [0, 0]])
+    plane = (pixels[:, None] + steps - INTRINSICS[:2, 2]) / INTRINSICS[[0, 1], [0, 1]]
+    world = 10 * np.concatenate([plane, np.ones((2, 4, 1))], axis=2)
+    world[:, 3] /= 1.01
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("y", turned, degrees=True).as_matrix()
+    pose[2, 3] = at
+    depth = np.full((SIZE, SIZE), 10, np.float32)
+    view = view_of(np.zeros((SIZE, SIZE, 3), np.uint8), MASK, depth, pose)
+    assert len(_seen_in(view, world, INTRINSICS).patch) == (2 if seen else 0)
+
+
+def test_a_magnified_patch_keeps_farther_from_what_is_masked():
+    """Of the same wall, from half as far: there the patch is twice as wide."""
+    pixels = np.array([[96.5, 96.5]])
+    steps = np.array([[0, 0], [2, 0], [0, 2], [0, 0]])
+    plane = (pixels[:, None] + steps - INTRINSICS[:2, 2]) / INTRINSICS[[0, 1], [0, 1]]
+    world = 10 * np.concatenate([plane, np.ones((1, 4, 1))], axis=2)
+    for z, reach in ((0.0, HALF_WIDTH + SEARCH_PX), (5.0, 2 * HALF_WIDTH + SEARCH_PX)):
+        pose = np.eye(4)
+        pose[2, 3] = z
+        for away, seen in ((reach - 2, False), (reach, True)):
+            mask = MASK.copy()
+            mask[:, : int(96 - away)] = 0
+            view = view_of(np.zeros((SIZE, SIZE, 3), np.uint8), mask, np.full((SIZE, SIZE), 10 - z, np.float32), pose)
+            assert len(_seen_in(view, world, INTRINSICS).patch) == seen

@@ -2,10 +2,14 @@
 
 import itertools
 import shutil
+from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from completion.confidence import confidence_from_error
+from completion.inference.kriging import towards_points
 from haustra.core.progress import SilentProgress
 from pipeline.config import DepthSettings
 from pipeline.depth import multiview_stage
@@ -13,6 +17,8 @@ from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
 from pipeline.depth.multiview_stage import refine_depth
 from pipeline.depth.rectification import make_rectifier
+from pipeline.depth.sensor.joined_points import NOTHING
+from pipeline.depth.sparse_depth import SparseDepthMaker
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 from tests.helpers.tubes.textured_tube import CAMERA, RADIUS, SIZE, camera_at, render, stored
@@ -20,7 +26,7 @@ from tests.helpers.tubes.textured_tube import true_depth as depth_in_mm
 
 COUNT = 9
 SPREAD = 0.03  # of log depth that is wrong, otherwise in each keyframe
-CONFIDENCE = np.full((SIZE, SIZE), 1 / (1 + SPREAD), np.float32)
+CONFIDENCE = np.full((SIZE, SIZE), confidence_from_error(np.float32(SPREAD)), np.float32)
 
 
 POSES = np.stack([camera_at(2 * k) for k in range(COUNT)])  # of the pictures
@@ -28,8 +34,8 @@ POSES_IN_RADII = POSES.copy()
 POSES_IN_RADII[:, :3, 3] /= RADIUS
 
 
-def unwanted():
-    raise AssertionError("no network is asked")
+def unwanted(*_):
+    raise AssertionError("nothing is asked of it")
 
 
 def true_depth(k):
@@ -87,10 +93,10 @@ def copied(begun, tmp_path):
     return Workspace(tmp_path / "run"), frames, submap
 
 
-def refined(copied, **settings):
+def refined(copied, completer=unwanted, **settings):
     workspace, frames, submap = copied
     completed = CompletedSubmap(submap, make_rectifier(CAMERA), np.arange(COUNT), depth_on_disk(workspace))
-    return refine_depth(frames, [completed], unwanted, DepthSettings(**settings), workspace, SilentProgress())[0]
+    return refine_depth(frames, [completed], completer, DepthSettings(**settings), workspace, SilentProgress())[0]
 
 
 def depths(completed):
@@ -128,11 +134,11 @@ def test_a_stopped_run_and_one_of_a_single_thread_end_at_the_same_bytes(copied, 
     np.testing.assert_array_equal(depths(gone_on), depths(at_once))
 
 
-def test_without_it_first_depths_are_neither_made_nor_refined(copied):
+def test_without_it_nothing_is_refined(copied):
     workspace, _, _ = copied
-    assert not DepthSettings(photometric=False).has_second_pass
     refined(copied, photometric=False)
     assert workspace.first_depth.exists()
+    assert not workspace.depth.exists()
 
 
 def test_a_finished_run_of_a_version_without_it_keeps_its_depth(copied):
@@ -146,8 +152,64 @@ def test_a_finished_run_of_a_version_without_it_keeps_its_depth(copied):
     assert {path: path.read_bytes() for path in workspace.depth.iterdir()} == before
 
 
-def test_depth_that_a_sensor_holds_is_left_alone(copied, monkeypatch):
+def test_no_patch_is_asked_where_a_sensor_measured_depth(copied, monkeypatch):
     monkeypatch.setattr(multiview_stage, "open_sensor", lambda *_: object())
-    monkeypatch.setattr(multiview_stage, "points_of", lambda *_: unwanted)
+    monkeypatch.setattr(multiview_stage, "points_of", lambda *_: lambda _: NOTHING)
+    monkeypatch.setattr(multiview_stage, "photometric_points", unwanted)
     before = [first_depth(k) for k in range(COUNT)]
     np.testing.assert_allclose(depths(refined(copied)), before, atol=1e-3)
+
+
+def test_no_patch_is_asked_where_own_points_say_that_the_wall_moved(copied, monkeypatch):
+    maker = SparseDepthMaker(copied[-1], CAMERA)
+
+    def moved(row):
+        points = maker.sparse_depth(row)
+        return replace(points, depth=points.depth * np.where(np.arange(len(points.depth)) % 2, 0.8, 1.25))
+
+    monkeypatch.setattr(multiview_stage, "points_of", lambda *_: moved)
+    monkeypatch.setattr(multiview_stage, "photometric_points", unwanted)
+    before = [first_depth(k) for k in range(COUNT)]
+    np.testing.assert_allclose(depths(refined(copied)), before, atol=1e-3)
+
+
+def test_own_points_correct_first_and_stay_among_the_photometric_ones(copied, monkeypatch):
+    calls, views = [], []
+    made = multiview_stage.photometric_points
+
+    def corrected(depth, expected, sparse, error, *more, **named):
+        found = towards_points(depth, expected, sparse, error, *more, **named)
+        calls.append((depth, sparse, error, found, (*more, *named.values())))
+        return found
+
+    monkeypatch.setattr(multiview_stage, "workers", lambda: 1)
+    monkeypatch.setattr(multiview_stage, "towards_points", corrected)
+    monkeypatch.setattr(multiview_stage, "photometric_points", lambda *a: (views.append(a[0]), made(*a))[1])
+    refined(copied)
+    assert len(calls) == 2 * len(views) == 2 * COUNT
+    for (first, own, told, once, (share,)), (again, both, errors, _, (_, same)) in zip(*[iter(calls)] * 2, strict=True):
+        assert share == same == 1
+        np.testing.assert_array_equal(both[own > 0], own[own > 0])
+        np.testing.assert_array_equal(errors[own > 0], told[own > 0])
+        assert np.count_nonzero(both) > np.count_nonzero(own) + 100
+        np.testing.assert_array_equal(again, once)
+        assert not np.array_equal(once, first)
+    for view, call in zip(views, calls[::2], strict=True):
+        np.testing.assert_array_equal(view.depth, call[3])
+
+
+def test_patches_are_asked_after_a_network_has_refined(copied, monkeypatch):
+    class Farther:
+        can_refine, at_once, working_side_by_side = True, 1, nullcontext
+
+        def refine(self, rgb, sparse, error, depth, confidence):
+            return 1.004 * depth, confidence
+
+    made, views = multiview_stage.photometric_points, []
+    monkeypatch.setattr(multiview_stage, "photometric_points", lambda *a: (views.append(a[0]), made(*a))[1])
+    after = depths(refined(copied, Farther, multiview=True))
+    assert len(views) == COUNT
+    for row, depth in enumerate(after):
+        known = (true_depth(row) > 0) & (depth > 0)
+        off = np.abs(np.log(depth[known] / true_depth(row)[known]))
+        assert np.median(off) < 0.6 * np.median(np.abs(wrong(row)[known]))

@@ -121,3 +121,14 @@ def test_a_patch_is_read_where_it_lies():
     np.testing.assert_allclose(patches.by_x, 2.0, atol=1e-4)
     np.testing.assert_allclose(patches.by_y, 1.0, atol=1e-4)
     assert pytest.approx(1.0) == WINDOW.sum()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
+def test_a_view_at_no_finite_place_confirms_nothing(value):
+    """It reads no memory beyond the picture either."""
+    views = views_of(np.zeros(len(PIXELS)))
+    centre = views.centre.copy()
+    centre[views.patch == 3] = value
+    found = align_patches(read_patches(picture_from(0, 0), PIXELS), replace(views, centre=centre), pictures())
+    assert found.correlating[3] == 0
+    assert (np.delete(found.correlating, 3) == len(BASELINES)).all()
