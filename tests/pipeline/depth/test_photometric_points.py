@@ -131,7 +131,7 @@ def test_a_patch_is_not_compared_with_a_view_of_its_back(at, turned, seen):
 
 def test_a_magnified_patch_keeps_farther_from_what_is_masked():
     """Of the same wall, from half as far: there the patch is twice as wide."""
-    pixels = np.array([[96.5, 96.5]])
+    pixels = np.array([[96.0, 96.0]])  # the principal point, which stays
     steps = np.array([[0, 0], [2, 0], [0, 2], [0, 0]])
     plane = (pixels[:, None] + steps - INTRINSICS[:2, 2]) / INTRINSICS[[0, 1], [0, 1]]
     world = 10 * np.concatenate([plane, np.ones((1, 4, 1))], axis=2)
