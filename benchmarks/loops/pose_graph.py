@@ -32,6 +32,7 @@ from haustra.core.sim3 import scale_of
 from pipeline.config import Config, FrameSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.completion_stage import complete_depth
+from pipeline.depth.multiview_stage import refine_depth
 from pipeline.depth.preparation import load_completer
 from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.structure_stage import solve_structure
@@ -70,7 +71,8 @@ def dense_submaps(folder: Path, config: Config, root: Path) -> list[CompletedSub
         frames = read_frames(Source(folder), config.camera, config.frames, workspace, silent)
         submaps = solve_structure(frames, features, config.front_end, config.front_end_settings, workspace, silent)
         network = partial(load_completer, config.model, config.device, config.depth.iterations)
-        return complete_depth(frames, submaps, network, config.depth, workspace, silent)
+        completed = complete_depth(frames, submaps, network, config.depth, workspace, silent)
+        return refine_depth(frames, completed, network, config.depth, workspace, silent)
 
 
 def links_of(

@@ -108,7 +108,8 @@ What better points would be worth, and how to get them, on three films kept for 
 - Points left out that completed depth passes by more than 4 %, and depth completed again: +2.5 and -0.1 on the first
   two.
 - Points on a grid of 8 px, begun at completed depth: where patches confirm them, they are farther off in the median
-  than completed depth is there (1.26 to 0.89, 0.65 to 0.61, 1.04 to 0.79 %).
+  than completed depth is there (1.26 to 0.89, 0.65 to 0.61, 1.04 to 0.79 %). What they say together about depth that is
+  complete is worth more: [photometric.md](photometric.md).
 """
 
 
