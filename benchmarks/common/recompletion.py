@@ -49,7 +49,8 @@ class MemoryKeyframes:
 
 
 def completed_from(made: Run, completed: CompletedSubmap, points: Points) -> CompletedSubmap:
-    """The submap with depth from these points, as the run's network completes it; without keyframes that have too few.
+    """The submap with depth from these points, as the run's network completes it, corrected by them alone and not by
+    the neighbours' pictures; without keyframes that have too few points.
 
     HaustraError where closed loops moved its depths, which the points then no longer fit, or no keyframe is left.
     """
