@@ -17,21 +17,21 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.matching.patch_alignment import (
     HALF_WIDTH,
+    LEAST_AREA,
+    PROBES,
     SEARCH_PX,
     PatchViews,
     align_patches,
     expected_error,
+    pictured,
     read_patches,
 )
 
 CELL = 1 / 40  # of the longer side, from point to point: 8 px of 320
-LEAST_VIEWS = 2  # in which a patch must correlate well, and in more than half of those that show it
 MOST_ERROR = 0.1  # expected, of a depth that is taken,
 MOST_SHIFT = 0.1  # and its relative change of inverse depth
 SAME_WALL = 0.15  # by which a point's depth in another view may differ from that view's own, relative to it
-LEAST_AREA = 0.05  # of a patch in another view over its area here; below it the wall is seen along itself
 SLOPE_SIGMA = 2.0  # px, of the Gaussian over which the wall's slope is taken
-PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another view moves
 LEAST_DEPTH = 1e-6  # scene units before a camera
 
 Array = NDArray[np.float64]
@@ -72,8 +72,7 @@ def photometric_points(view: View, others: Sequence[View], intrinsics: Array) ->
     views = _joined(found)
     aligned = align_patches(read_patches(view.grey, pixels), views, {k: o.grey for k, o in enumerate(others)})
     error = expected_error(aligned)
-    confirmed = (aligned.correlating >= LEAST_VIEWS) & (2 * aligned.correlating > aligned.views)
-    good = confirmed & (np.abs(aligned.shift) < MOST_SHIFT) & (error < MOST_ERROR)
+    good = aligned.confirmed & (np.abs(aligned.shift) < MOST_SHIFT) & (error < MOST_ERROR)
     return SparseDepth(pixels[good], 1 / (inverse_depth * (1 + aligned.shift))[good], error[good])
 
 
@@ -104,9 +103,9 @@ def _wall(depth: Image, pixels: Array) -> tuple[Array, Array]:
 
 
 def _probes(view: View, pixels: Array, inverse_depth: Array, slopes: Array, intrinsics: Array) -> Array:
-    """(P,4,3) in the world: the point, the wall `PROBE_PX` to the right and below of it, the point at `PROBE_SHIFT`."""
+    """(P,4,3) `PROBES` in the world."""
     probes = np.zeros((len(pixels), 4, 3))
-    for number, (x, y, shift) in enumerate([(0, 0, 0), (PROBE_PX, 0, 0), (0, PROBE_PX, 0), (0, 0, PROBE_SHIFT)]):
+    for number, (x, y, shift) in enumerate(PROBES):
         plane = (pixels + np.array([x, y]) - intrinsics[:2, 2]) / intrinsics[[0, 1], [0, 1]]
         there = np.clip(inverse_depth + slopes @ np.array([x, y]), 0.5 * inverse_depth, 2 * inverse_depth)
         probes[:, number] = np.column_stack([plane, np.ones(len(plane))]) / (there * (1 + shift))[:, None]
@@ -122,8 +121,7 @@ def _seen_in(other: View, world: Array, intrinsics: Array) -> PatchViews:
     before: NDArray[np.bool_] = np.asarray((local[..., 2] > LEAST_DEPTH).all(axis=1))
     depth = np.where(before[:, None], local[..., 2], 1.0)
     pixels = local[..., :2] / depth[..., None] * intrinsics[[0, 1], [0, 1]] + intrinsics[:2, 2]
-    centre = pixels[:, 0]
-    shape = np.stack([pixels[:, 1] - centre, pixels[:, 2] - centre], axis=2) / PROBE_PX
+    centre, shape, motion = pictured(pixels)
     height, width = other.depth.shape
     within: NDArray[np.bool_] = before & (centre >= 0).all(axis=1) & (centre < [width, height]).all(axis=1)
     x, y = np.clip(np.floor(np.where(within[:, None], centre, 0)), 0, [width - 1, height - 1]).astype(int).T
@@ -132,7 +130,6 @@ def _seen_in(other: View, world: Array, intrinsics: Array) -> PatchViews:
     same_wall = np.abs(depth[:, 0] / own - 1) < SAME_WALL
     shown = within & same_wall & (np.linalg.det(shape) > LEAST_AREA)
     patch = np.flatnonzero(shown)
-    motion = (pixels[:, 3] - centre) / PROBE_SHIFT
     return PatchViews(patch, np.zeros(len(patch), np.int64), centre[patch], shape[patch], motion[patch])
 
 

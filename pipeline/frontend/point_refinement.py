@@ -25,6 +25,8 @@ from haustra.core.threads import prefetched
 from pipeline.mapping.submap import Submap, refined_camera, sighting_errors
 from pipeline.matching.patch_alignment import (
     HALF_WIDTH,
+    LEAST_AREA,
+    PROBES,
     SEARCH_PX,
     Alignment,
     PatchViews,
@@ -32,25 +34,23 @@ from pipeline.matching.patch_alignment import (
     align_patches,
     expected_error,
     groups,
+    pictured,
     read_patches,
 )
 from pipeline.matching.sift_cache import ReadFrame
 
 VIEWS = 8  # frames with which the reference is compared, at most
-LEAST_VIEWS = 2  # that must correlate well, and more than half of those that there are
 MOST_ERROR = 0.1  # expected, of a depth that is taken,
 MOST_SHIFT = 0.3  # relative change of inverse depth
 UNSURE_EDGE = 3.0  # times the submap's median of sigma times contrast, above which a point is dropped
 CHUNK = 1000  # points aligned in one go: some fifty megabytes, mostly pictures
 AT_ONCE = 2  # chunks, each by a thread of its own
 HELD = 128  # frames whose pictures are kept, some twenty megabytes
-PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another frame moves
 NEIGHBOURS, NEIGHBOUR_PX = 14, 15.0  # whose inverse depths have the slope of the wall, and the radius of their weight
 SAME_WALL = 0.3  # relative difference of inverse depth within which a neighbour counts
 SLOPE_SIGMA = 0.02  # of relative inverse depth a pixel, expected before any neighbour is asked
 NEIGHBOUR_SIGMA = 0.02  # relative depth, of the surest neighbour
 PIXEL_NOISE = 0.5  # px, of a point before
-LEAST_AREA = 0.05  # of a patch in another view over its area here; below it the wall is seen along itself
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -82,7 +82,7 @@ def refine_points(
     done = 0
     for mine, aligned in zip(chunks, prefetched(aligned_of, chunks, 1, AT_ONCE), strict=True):
         expected = expected_error(aligned)
-        confirmed = (aligned.correlating >= LEAST_VIEWS) & (2 * aligned.correlating > aligned.views)
+        confirmed = aligned.confirmed
         good = confirmed & (np.abs(aligned.shift) < MOST_SHIFT) & (expected < MOST_ERROR)
         centre = submap.centres[reference[mine]]
         moved = centre + (points[mine] - centre) / (1 + aligned.shift)[:, None]
@@ -133,9 +133,8 @@ def sightings(submap: Submap, observations: NDArray[np.int32]) -> tuple[Rows, Ro
 
 @dataclass(frozen=True)
 class _Patches:
-    """Of P points: in their reference frames, what is read there, and in the world (P,4,3): the point, the wall
-    `PROBE_PX` to the right and below of it, and the point at s = `PROBE_SHIFT`. whole: the patch shows the wall alone.
-    """
+    """Of P points: in their reference frames, what is read there, and `PROBES` in the world (P,4,3). whole: the patch
+    shows the wall alone."""
 
     reference: ReferencePatches
     world: Array
@@ -178,7 +177,7 @@ class _Scene:
     def _probes(self, row: int, local: Array, pixels: Array, slopes: Array) -> Array:
         """(N,4,3) of `_Patches.world`; local (N,3) the points in the camera of frame row `row`."""
         pose, probes = self.submap.world_from_camera[row], np.zeros((len(local), 4, 3))
-        for number, (x, y, shift) in enumerate([(0, 0, 0), (PROBE_PX, 0, 0), (0, PROBE_PX, 0), (0, 0, PROBE_SHIFT)]):
+        for number, (x, y, shift) in enumerate(PROBES):
             plane, _ = self.rays.unproject(pixels + np.array([x, y]))
             inverse = np.clip(1 + slopes @ np.array([x, y]), 0.5, 2) * (1 + shift) / local[:, 2]
             probes[:, number] = np.column_stack([plane, np.ones(len(plane))]) / inverse[:, None]
@@ -216,14 +215,12 @@ class _Scene:
         pose = self.submap.world_from_camera[row]
         local = np.einsum("vki,vij->vkj", patches.world[patch] - pose[:, None, :3, 3], pose[:, :3, :3])
         pixels = self.rays.project(local.reshape(-1, 3)).reshape(-1, 4, 2)
-        centre = pixels[:, 0]
-        shape = np.stack([pixels[:, 1] - centre, pixels[:, 2] - centre], axis=2) / PROBE_PX
+        centre, shape, motion = pictured(pixels)
         finite: NDArray[np.bool_] = np.asarray(np.isfinite(pixels).all(axis=(1, 2)))
         at = np.where(finite[:, None], centre, -1.0)
         seen = np.concatenate([_is_clear(clear[number], at[mine]) for number, mine in groups(row)] or [NONE])
         whole = np.flatnonzero(seen)
         whole = whole[np.linalg.det(shape[whole]) > LEAST_AREA]  # of what is seen from behind it is negative
-        motion = (pixels[:, 3] - centre) / PROBE_SHIFT
         return PatchViews(patch[whole], row[whole], centre[whole], shape[whole], motion[whole])
 
 

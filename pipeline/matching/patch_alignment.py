@@ -24,6 +24,11 @@ STEPS = 3  # of Gauss-Newton,
 LARGEST_STEP_PX = 0.7  # each
 LEAST_CORRELATION, FULL_CORRELATION = 0.5, 0.9  # of a view without a weight, and of one with all of it
 GOOD_CORRELATION = 0.6
+LEAST_VIEWS = 2  # that must correlate well, and more than half of those that there are
+LEAST_AREA = 0.05  # of a patch in another view over its area here; below it the wall is seen along itself
+PROBE_PX, PROBE_SHIFT = 2.0, 0.01  # by which a patch is moved to see how its picture in another view moves
+# Pixels to the right and below, and s: the patch's middle, the wall beside it on two sides, and the middle moved.
+PROBES = ((0, 0, 0), (PROBE_PX, 0, 0), (0, PROBE_PX, 0), (0, 0, PROBE_SHIFT))
 LEAST_CONTRAST = 0.5  # grey levels, below which a patch is flat
 PER_SIGMA, PER_SIGMA_CONTRAST, LEAST_ERROR = 1.6, 43.0, 0.0037  # of the expected error: `expected_error`
 
@@ -76,6 +81,11 @@ class Alignment:
     correlating: NDArray[np.int64]
     contrast: Array
 
+    @property
+    def confirmed(self) -> NDArray[np.bool_]:
+        """(P,) whether enough views show the patch, and most of those that are asked."""
+        return (self.correlating >= LEAST_VIEWS) & (2 * self.correlating > self.views)
+
 
 def read_patches(grey: NDArray[np.uint8], pixels: Array) -> ReferencePatches:
     """Upright patches of a picture about pixels (P,2)."""
@@ -93,6 +103,13 @@ def align_patches(
     for _ in range(STEPS):
         shift = problem.stepped(shift)
     return problem.judged(shift)
+
+
+def pictured(pixels: Array) -> tuple[Array, Array, Array]:
+    """Centre (N,2), shape (N,2,2) and motion (N,2) of `PatchViews`: pixels (N,4,2) where a view shows `PROBES`."""
+    centre = pixels[:, 0]
+    shape = np.stack([pixels[:, 1] - centre, pixels[:, 2] - centre], axis=2) / PROBE_PX
+    return centre, shape, (pixels[:, 3] - centre) / PROBE_SHIFT
 
 
 def expected_error(aligned: Alignment) -> Array:
