@@ -35,6 +35,9 @@ MOST_POINTS = 400  # unless asked for otherwise: the time grows with the cube; m
 CELL, CELL_DEPTH = 1 / 80, 0.1  # of the longer side, and of log depth, within which points are merged first
 ROUNDS = 5  # of weighing points by what they are missed by
 MOST_CHANGE = 0.5  # of log depth
+# Points times the variance of the process over the least of a point, up to which the equations are solved in float32:
+# a rounded eigenvalue is then off by less than that point's variance.
+SINGLE_PRECISION = 3e6
 NODES = 40  # of the grid on which the correction is computed, along the longer side
 SLICES_APART = 0.05  # of its slices in log depth
 
@@ -80,8 +83,9 @@ def towards_points(
     points = _merged(points, most_points)
     variance = (SPREAD * float(np.median(points.expected))) ** 2
     covariance = _alike(points.place, points.place) * _alike_in_depth(points.log_depth, points.log_depth)
-    weights = _kriging_weights(variance * covariance, points.missed, np.maximum(OWN_SHARE * points.error, LEAST_ERROR))
-    return _corrected(depth, points, share * variance * weights)
+    covariance *= np.float32(variance)
+    weights = _kriging_weights(covariance, points.missed, np.maximum(OWN_SHARE * points.error, LEAST_ERROR))
+    return _corrected(depth, points, np.float32(share * variance) * weights)
 
 
 def _points_of(depth: Image, expected: Image, sparse: Image, error: Image) -> _Points:
@@ -133,29 +137,41 @@ def _share_of(points: _Points) -> float:
     return float(np.clip((UNEXPLAINED - unexplained) / (UNEXPLAINED - EXPLAINED), 0, 1))
 
 
-def _alike(one: Array, other: Array) -> Array:
+def _alike(one: Array, other: Array) -> Image:
     """(N,M) correlation by the distance of places (N,2) and (M,2)."""
-    across, down = (np.subtract.outer(one[:, axis], other[:, axis]) for axis in (0, 1))
-    distance = np.sqrt(across * across + down * down)
-    return np.asarray(np.exp(distance / -REACH))
+    # float32 and in place: this is much of the arithmetic, and a correction is a few per cent of the depth.
+    squared, down = (np.subtract.outer(one[:, axis], other[:, axis], dtype=np.float32) for axis in (0, 1))
+    squared *= squared
+    down *= down
+    squared += down
+    distance = np.sqrt(squared, out=squared)
+    distance /= np.float32(-REACH)
+    return np.exp(distance, out=distance)
 
 
-def _alike_in_depth(one: Array, other: Array) -> Array:
+def _alike_in_depth(one: Array, other: Array) -> Image:
     """(N,M) correlation by the difference of log depths (N,) and (M,)."""
-    return np.asarray(np.exp(-np.abs(one[:, None] - other[None]) / REACH_IN_DEPTH))
+    apart = np.subtract.outer(one, other, dtype=np.float32)
+    np.abs(apart, out=apart)
+    apart /= np.float32(-REACH_IN_DEPTH)
+    return np.exp(apart, out=apart)
 
 
-def _kriging_weights(covariance: Array, missed: Array, error: Array) -> Array:
+def _kriging_weights(covariance: Image, missed: Array, error: Array) -> Image:
     """(N,) by which the covariances with the points are summed to a correction; points that the others contradict weigh
     less, as if their errors were larger (Student's t, by reweighting)."""
-    doubted = error**2
+    spread = len(error) * float(covariance[0, 0]) / float(error.min()) ** 2
+    precision, diagonal = np.float32 if spread < SINGLE_PRECISION else np.float64, np.arange(len(error))
+    doubted, wanted = error**2, missed.astype(precision)
     for _ in range(ROUNDS):
-        weights = cho_solve(cho_factor(covariance + np.diag(doubted)), missed)
+        total: NDArray[np.floating] = covariance.astype(precision)
+        total[diagonal, diagonal] += doubted
+        weights = cho_solve(cho_factor(total, overwrite_a=True, check_finite=False), wanted, check_finite=False)
         doubted = error**2 * (1 + ((missed - covariance @ weights) / (TAIL * error)) ** 2)
-    return np.asarray(weights)
+    return np.asarray(weights, np.float32)
 
 
-def _corrected(depth: Image, points: _Points, weights: Array) -> Image:
+def _corrected(depth: Image, points: _Points, weights: Image) -> Image:
     """Depth (H,W) times the correction, which is computed on a grid over the picture and log depth."""
     height, width = depth.shape
     known = (depth > 0) & np.isfinite(depth)
@@ -169,7 +185,7 @@ def _corrected(depth: Image, points: _Points, weights: Array) -> Image:
     grid = (_alike(nodes, points.place) @ of_slices).reshape(len(down), len(across), len(slices))
     rows, columns = np.nonzero(known)
     at = np.stack([rows / apart, columns / apart, (log_depth - slices[0]) / SLICES_APART])
-    change = map_coordinates(grid.astype(np.float32), at, order=1, mode="nearest")
+    change = map_coordinates(grid, at, order=1, mode="nearest")
     corrected = depth.copy()
     corrected[known] *= np.exp(np.clip(change, -MOST_CHANGE, MOST_CHANGE))
     return corrected

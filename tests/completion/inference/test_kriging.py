@@ -61,6 +61,19 @@ def test_it_is_simple_kriging(monkeypatch, shape):
     assert off(found, expected).mean() < 0.04 * off(estimate, expected).mean()
 
 
+@pytest.mark.parametrize("expected", [0.02, 0.7, 30.0])
+def test_points_close_together_are_as_in_double_precision(monkeypatch, expected):
+    """A thousand points within 32 pixels: as good as singular, where the depth is told to be unsure."""
+    estimate, near = (WALL * np.exp(WAVE)).astype(np.float32), (ROWS < 32) & (COLUMNS < 32)
+    sparse, error = (np.where(near, image, np.float32(0)) for image in points_of(WALL, 4096, told=0.004))
+    doubt = np.full_like(WALL, expected)
+    found = towards_points(estimate, doubt, sparse, error, most_points=4096)
+    monkeypatch.setattr(kriging, "SINGLE_PRECISION", 0)
+    double = towards_points(estimate, doubt, sparse, error, most_points=4096)
+    assert off(found, double).max() < 2e-4
+    assert off(double, estimate).max() > 0.02
+
+
 def test_an_estimate_that_is_off_smoothly_comes_near_the_wall():
     estimate = (WALL * np.exp(WAVE)).astype(np.float32)
     found = towards_points(estimate, EXPECTED, *points_of(WALL))
