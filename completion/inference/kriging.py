@@ -99,12 +99,17 @@ def _points_of(depth: Image, expected: Image, sparse: Image, error: Image) -> _P
 def _merged(points: _Points, most: int) -> _Points:
     """No more than `most`: those of a cell, and of like depth there, become one; cells grow until there are few
     enough."""
-    found, size = points, np.array([CELL, CELL, CELL_DEPTH])
-    while len(found) > most:
-        from_nearest = points.log_depth - points.log_depth.min()
-        _, group = np.unique(np.column_stack([points.place, from_nearest]) // size, axis=0, return_inverse=True)
-        found, size = _one_of_each(points, group.ravel()), 1.2 * size
-    return found
+    if len(points) <= most:
+        return points
+    from_nearest, larger = points.log_depth - points.log_depth.min(), 1.0
+    while True:
+        cells = (points.place // (larger * CELL), from_nearest[:, None] // (larger * CELL_DEPTH))
+        across, down, slices = np.hstack(cells).astype(np.int64).T
+        key = (across * (down.max() + 1) + down) * (slices.max() + 1) + slices
+        unique, group = np.unique(key, return_inverse=True)
+        if len(unique) <= most:
+            return _one_of_each(points, group)
+        larger *= 1.2
 
 
 def _one_of_each(points: _Points, group: NDArray[np.int64]) -> _Points:
