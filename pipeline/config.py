@@ -79,11 +79,6 @@ class DepthSettings(Settings):
     multiview: bool = Field(False, description="once more for each keyframe, with its neighbours' depths as points")
     photometric: bool = Field(True, description="corrected by where patches fit the pictures of keyframes around it")
 
-    @property
-    def has_second_pass(self) -> bool:
-        """Whether the keyframes' depths are refined once all are complete."""
-        return self.multiview or self.photometric
-
 
 class LoopClosingSettings(Settings):
     """Loop closing and the merging of submaps, after depth completion."""

@@ -22,6 +22,7 @@ from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_selection import choose_keyframes
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
+from pipeline.depth.multiview_stage import has_second_pass
 from pipeline.depth.preparation import LoadCompleter
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sensor.joined_points import points_of
@@ -99,15 +100,15 @@ def _complete_all(
     workspace: Workspace,
     progress: Progress,
 ) -> None:
-    if settings.has_second_pass:
+    sensor = open_sensor(workspace, frames.camera.width)
+    again = has_second_pass(settings, sensor)
+    if again:
         for folder in (workspace.depth, workspace.confidence):
-            shutil.rmtree(
-                folder, ignore_errors=True
-            )  # of a stopped run of a version without it: nothing is refined yet
+            shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without it: nothing is refined
     width, motion, planned = frames.camera.width, settings.keyframe_motion, []
     for submap, least in zip(submaps, least_of_each([len(one.frames) for one in submaps]), strict=True):
         planned.append(_planned(frames, submap, choose_keyframes(submap, width, motion, least), workspace))
-    store, sensor = DiskKeyframes(workspace, settings.has_second_pass), open_sensor(workspace, frames.camera.width)
+    store = DiskKeyframes(workspace, again)
     for number, one in enumerate(planned):
         write_json(camera_path(workspace, number), one.camera.to_dict())
     total, done, size = sum(len(one) for one in planned), 0, completer.batch_size

@@ -32,7 +32,7 @@ from pipeline.depth.preparation import LoadCompleter
 from pipeline.depth.sensor.joined_points import points_of
 from pipeline.depth.sparse_depth import SparseDepth
 from pipeline.input.frames import Frames
-from pipeline.input.sensor.sensor_depth import open_sensor
+from pipeline.input.sensor.sensor_depth import SensorDepth, open_sensor
 from pipeline.run_folder.malloc import freed_memory_kept
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
@@ -51,6 +51,16 @@ LEAST_CONFIDENCE = 1 / 510  # half of its smallest step on disk
 Image = NDArray[np.float32]
 
 
+def has_second_pass(settings: DepthSettings, sensor: SensorDepth | None) -> bool:
+    """Whether the keyframes' depths are refined once all are complete. sensor: the run's, if it has one."""
+    return settings.multiview or _asks_patches(settings, sensor)
+
+
+def _asks_patches(settings: DepthSettings, sensor: SensorDepth | None) -> bool:
+    """What a sensor measured holds depth better than patches do."""
+    return settings.photometric and (sensor is None or sensor.settings.points == "none")
+
+
 def refine_depth(
     frames: Frames,
     completed: list[CompletedSubmap],
@@ -59,14 +69,17 @@ def refine_depth(
     workspace: Workspace,
     progress: Progress,
 ) -> list[CompletedSubmap]:
-    """The submaps with refined depth; as they are where neither is asked for, and where no first depth is left to be
-    refined (a run of a version that made none)."""
-    if not settings.has_second_pass or not (workspace.is_done(STAGE) or workspace.first_depth.is_dir()):
+    """The submaps with refined depth; as they are where no first depth is left to be refined: without a second pass,
+    or in a run of a version that had none."""
+    if not (workspace.is_done(STAGE) or workspace.first_depth.is_dir()):
         return completed
 
     def make() -> None:
-        completer = load_completer() if settings.multiview else None
-        _refine_all(frames, completed, completer, settings.photometric, workspace, progress)
+        completer, sensor = (
+            load_completer() if settings.multiview else None,
+            open_sensor(workspace, frames.camera.width),
+        )
+        _refine_all(frames, completed, completer, sensor, _asks_patches(settings, sensor), workspace, progress)
 
     refined = DiskKeyframes(workspace)
     return load_or_make(workspace, STAGE, lambda: [replace(one, store=refined) for one in completed], make)
@@ -76,13 +89,12 @@ def _refine_all(
     frames: Frames,
     completed: list[CompletedSubmap],
     completer: DepthCompleter | None,
+    sensor: SensorDepth | None,
     photometric: bool,
     workspace: Workspace,
     progress: Progress,
 ) -> None:
-    store, sensor = DiskKeyframes(workspace), open_sensor(workspace, frames.camera.width)
-    photometric = photometric and sensor is None  # what a sensor measured holds depth better than patches do
-    at_once = workers() if completer is None else completer.at_once
+    store, at_once = DiskKeyframes(workspace), workers() if completer is None else completer.at_once
     done, total = 0, sum(len(one) for one in completed)
     with ExitStack() as stack:
         advance = stack.enter_context(progress.bar("depth from several views", total))

@@ -68,10 +68,11 @@ def test_a_session_ends_with_its_film_and_is_recorded(tmp_path):
         live(str(VIDEO), folder, config, SilentProgress(), open_browser=False)
 
 
-def test_a_source_that_shows_nothing_leaves_the_folder_to_the_next_command(tmp_path, monkeypatch):
-    def refused(session):
-        raise HaustraError("the source cannot be opened")
+def refused(session):
+    raise HaustraError("the source cannot be opened")
 
+
+def test_a_source_that_shows_nothing_leaves_the_folder_to_the_next_command(tmp_path, monkeypatch):
     monkeypatch.setattr(LiveSession, "run", refused)
     with pytest.raises(HaustraError, match="cannot be opened"):
         live("tcp://127.0.0.1:1", tmp_path / "run", load_config(None), SilentProgress(), open_browser=False)
@@ -99,6 +100,8 @@ def test_a_source_that_shows_nothing_leaves_what_it_was_to_replace(tmp_path, mon
         (folder / "film.mkv").write_bytes(b"old")
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     assert set(left) <= set(before)
+    if "run.yaml" in left:  # in the slow case a session finds it out itself, once its network is loaded
+        monkeypatch.setattr(LiveSession, "run", refused)
     with pytest.raises(HaustraError, match="cannot be opened"):
         live("tcp://127.0.0.1:1", folder, load_config(None), SilentProgress(), open_browser=False, overwrite=True)
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before

@@ -4,6 +4,7 @@ import itertools
 import shutil
 from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from pipeline.config import DepthSettings
 from pipeline.depth import multiview_stage
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
-from pipeline.depth.multiview_stage import refine_depth
+from pipeline.depth.multiview_stage import has_second_pass, refine_depth
 from pipeline.depth.rectification import make_rectifier
 from pipeline.depth.sensor.joined_points import NOTHING
 from pipeline.depth.sparse_depth import SparseDepthMaker
@@ -152,8 +153,30 @@ def test_a_finished_run_of_a_version_without_it_keeps_its_depth(copied):
     assert {path: path.read_bytes() for path in workspace.depth.iterdir()} == before
 
 
+def a_sensor(points):
+    return SimpleNamespace(settings=SimpleNamespace(points=points))
+
+
+@pytest.mark.parametrize(
+    ("settings", "sensor", "expected"),
+    [
+        ({}, None, True),
+        ({}, a_sensor("gathered"), False),
+        ({}, a_sensor("none"), True),
+        ({"photometric": False}, None, False),
+        ({"photometric": False}, a_sensor("none"), False),
+        ({"photometric": False, "multiview": True}, None, True),
+        ({"multiview": True}, a_sensor("gathered"), True),
+    ],
+)
+def test_depth_that_nothing_refines_has_no_second_pass(settings, sensor, expected):
+    """Where a sensor's points are used, no patches are: its keyframes are corrected when they are completed."""
+    assert has_second_pass(DepthSettings(**settings), sensor) is expected
+
+
 def test_no_patch_is_asked_where_a_sensor_measured_depth(copied, monkeypatch):
-    monkeypatch.setattr(multiview_stage, "open_sensor", lambda *_: object())
+    """As in a run that an earlier version left stopped before its second pass."""
+    monkeypatch.setattr(multiview_stage, "open_sensor", lambda *_: a_sensor("gathered"))
     monkeypatch.setattr(multiview_stage, "points_of", lambda *_: lambda _: NOTHING)
     monkeypatch.setattr(multiview_stage, "photometric_points", unwanted)
     before = [first_depth(k) for k in range(COUNT)]
