@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +17,7 @@ from haustra.core.progress import SilentProgress
 from pipeline.config import DepthSettings
 from pipeline.depth.completed_submap import CompletedSubmap
 from pipeline.depth.keyframe_store import DiskKeyframes, depth_on_disk
-from pipeline.depth.multiview_stage import refine_depth
+from pipeline.depth.multiview_stage import STAGE, refine_depth
 from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from pipeline.run_folder.workspace import Workspace
 from tests.helpers.tiny_run import make_tiny_run
@@ -155,7 +156,9 @@ def test_refined_depth_is_corrected_by_the_keyframes_own_points(completed, monke
         assert np.median(off) == pytest.approx(1, abs=0.002)
 
 
-def test_without_the_setting_nothing_is_done(completed) -> None:
+def test_without_first_depths_nothing_is_done(completed) -> None:
+    """The completion stage leaves none where there is no second pass."""
     submap, workspace = completed
-    off = DepthSettings(photometric=False)
-    assert refine_depth(FRAMES, [submap], unwanted, off, workspace, SilentProgress()) == [submap]
+    shutil.rmtree(workspace.first_depth)
+    assert refine_depth(FRAMES, [submap], unwanted, ON, workspace, SilentProgress()) == [submap]
+    assert not workspace.is_done(STAGE)

@@ -135,11 +135,15 @@ def test_a_stopped_run_and_one_of_a_single_thread_end_at_the_same_bytes(copied, 
     np.testing.assert_array_equal(depths(gone_on), depths(at_once))
 
 
-def test_without_it_nothing_is_refined(copied):
-    workspace, _, _ = copied
-    refined(copied, photometric=False)
-    assert workspace.first_depth.exists()
-    assert not workspace.depth.exists()
+def test_without_it_first_depths_that_are_left_are_corrected_by_their_points_alone(copied, monkeypatch):
+    workspace, _, submap = copied
+    monkeypatch.setattr(multiview_stage, "photometric_points", unwanted)
+    found, maker = depths(refined(copied, photometric=False)), SparseDepthMaker(submap, CAMERA)
+    expected = np.full((SIZE, SIZE), SPREAD, np.float32)
+    for k, depth in enumerate(found):
+        own = maker.sparse_depth(k).maps(SIZE, SIZE)
+        np.testing.assert_allclose(depth, towards_points(first_depth(k), expected, *own), atol=1e-3)
+    assert not workspace.first_depth.exists()
 
 
 def test_a_finished_run_of_a_version_without_it_keeps_its_depth(copied):
