@@ -58,8 +58,8 @@ READ = """
 
 ## What was not
 
-- The stage that triangulates points anew takes time that `before` does not need; `reconstruct --profile` says how much.
-  The F-score is higher for it.
+- The stages that triangulate points anew, adjust poses to them and correct each depth by its neighbours' pictures take
+  time that `before` does not need; `reconstruct --profile` says how much. The F-score is higher for them.
 {peer}- Completion does not begin while tracking goes on: depth is completed from points that the adjusted poses
   triangulate, and these are known last.
 - Films of 1,000 and 1,500 frames are measured without a peer ([long_videos.md](long_videos.md)). The peer's accuracy is
