@@ -9,6 +9,7 @@ Learning, 2006, 2.2). Constants: chosen on films kept for choosing (docs/lab/kri
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,14 +36,15 @@ MOST_POINTS = 400  # unless asked for otherwise: the time grows with the cube; m
 CELL, CELL_DEPTH = 1 / 80, 0.1  # of the longer side, and of log depth, within which points are merged first
 ROUNDS = 5  # of weighing points by what they are missed by
 MOST_CHANGE = 0.5  # of log depth
-# Points times the variance of the process over the least of a point, up to which the equations are solved in float32:
-# a rounded eigenvalue is then off by less than that point's variance.
+# Up to which float32 does: the number of points times the variance of the process, which no eigenvalue exceeds, over
+# the least variance of a point. What rounding changes is then less than that variance.
 SINGLE_PRECISION = 3e6
 NODES = 40  # of the grid on which the correction is computed, along the longer side
 SLICES_APART = 0.05  # of its slices in log depth
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+Floats = NDArray[np.floating[Any]]  # of single or double precision
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,15 @@ def towards_points(
         return depth
     points = _merged(points, most_points)
     variance = (SPREAD * float(np.median(points.expected))) ** 2
-    covariance = _alike(points.place, points.place) * _alike_in_depth(points.log_depth, points.log_depth)
-    covariance *= np.float32(variance)
-    weights = _kriging_weights(covariance, points.missed, np.maximum(OWN_SHARE * points.error, LEAST_ERROR))
-    return _corrected(depth, points, np.float32(share * variance) * weights)
+    told: Array = np.maximum(OWN_SHARE * points.error, LEAST_ERROR)
+    exact_enough = len(points) * variance / float(told.min()) ** 2 < SINGLE_PRECISION
+    precision: Any = np.float32 if exact_enough else np.float64
+    place: Floats = points.place.astype(precision)
+    log_depth: Floats = points.log_depth.astype(precision)
+    covariance = _alike(place, place) * _alike_in_depth(log_depth, log_depth)
+    covariance *= variance
+    weights = share * variance * _kriging_weights(covariance, points.missed, told)
+    return _corrected(depth, place, log_depth, weights)
 
 
 def _points_of(depth: Image, expected: Image, sparse: Image, error: Image) -> _Points:
@@ -142,41 +149,39 @@ def _share_of(points: _Points) -> float:
     return float(np.clip((UNEXPLAINED - unexplained) / (UNEXPLAINED - EXPLAINED), 0, 1))
 
 
-def _alike(one: Array, other: Array) -> Image:
-    """(N,M) correlation by the distance of places (N,2) and (M,2)."""
-    # float32 and in place: this is much of the arithmetic, and a correction is a few per cent of the depth.
-    squared, down = (np.subtract.outer(one[:, axis], other[:, axis], dtype=np.float32) for axis in (0, 1))
+def _alike(one: Floats, other: Floats) -> Floats:
+    """(N,M) correlation by the distance of places (N,2) and (M,2), of their precision."""
+    # In place: this is much of the arithmetic.
+    squared, down = (np.subtract.outer(one[:, axis], other[:, axis]) for axis in (0, 1))
     squared *= squared
     down *= down
     squared += down
     distance = np.sqrt(squared, out=squared)
-    distance /= np.float32(-REACH)
+    distance /= -REACH
     return np.exp(distance, out=distance)
 
 
-def _alike_in_depth(one: Array, other: Array) -> Image:
-    """(N,M) correlation by the difference of log depths (N,) and (M,)."""
-    apart = np.subtract.outer(one, other, dtype=np.float32)
+def _alike_in_depth(one: Floats, other: Floats) -> Floats:
+    """(N,M) correlation by the difference of log depths (N,) and (M,), of their precision."""
+    apart = np.subtract.outer(one, other)
     np.abs(apart, out=apart)
-    apart /= np.float32(-REACH_IN_DEPTH)
+    apart /= -REACH_IN_DEPTH
     return np.exp(apart, out=apart)
 
 
-def _kriging_weights(covariance: Image, missed: Array, error: Array) -> Image:
-    """(N,) by which the covariances with the points are summed to a correction; points that the others contradict weigh
-    less, as if their errors were larger (Student's t, by reweighting)."""
-    spread = len(error) * float(covariance[0, 0]) / float(error.min()) ** 2
-    precision, diagonal = np.float32 if spread < SINGLE_PRECISION else np.float64, np.arange(len(error))
-    doubted, wanted = error**2, missed.astype(precision)
+def _kriging_weights(covariance: Floats, missed: Array, error: Array) -> Floats:
+    """(N,) by which the covariances with the points are summed to a correction, of the covariance's precision; points
+    that the others contradict weigh less, as if their errors were larger (Student's t, by reweighting)."""
+    doubted, wanted, diagonal = error**2, missed.astype(covariance.dtype), np.arange(len(error))
     for _ in range(ROUNDS):
-        total: NDArray[np.floating] = covariance.astype(precision)
+        total = covariance.copy()
         total[diagonal, diagonal] += doubted
         weights = cho_solve(cho_factor(total, overwrite_a=True, check_finite=False), wanted, check_finite=False)
         doubted = error**2 * (1 + ((missed - covariance @ weights) / (TAIL * error)) ** 2)
-    return np.asarray(weights, np.float32)
+    return np.asarray(weights)
 
 
-def _corrected(depth: Image, points: _Points, weights: Image) -> Image:
+def _corrected(depth: Image, place: Floats, log_depth_of_points: Floats, weights: Floats) -> Image:
     """Depth (H,W) times the correction, which is computed on a grid over the picture and log depth."""
     height, width = depth.shape
     known = (depth > 0) & np.isfinite(depth)
@@ -186,11 +191,11 @@ def _corrected(depth: Image, points: _Points, weights: Image) -> Image:
     across, down = (np.arange(0, side + apart, apart) for side in (width, height))
     slices = np.arange(log_depth.min(), log_depth.max() + SLICES_APART, SLICES_APART)
     nodes = np.stack(np.meshgrid(across / longer, down / longer), axis=2).reshape(-1, 2)
-    of_slices = weights[:, None] * _alike_in_depth(points.log_depth, slices)
-    grid = (_alike(nodes, points.place) @ of_slices).reshape(len(down), len(across), len(slices))
+    of_slices = weights[:, None] * _alike_in_depth(log_depth_of_points, slices.astype(weights.dtype))
+    grid = (_alike(nodes.astype(weights.dtype), place) @ of_slices).reshape(len(down), len(across), len(slices))
     rows, columns = np.nonzero(known)
     at = np.stack([rows / apart, columns / apart, (log_depth - slices[0]) / SLICES_APART])
-    change = map_coordinates(grid, at, order=1, mode="nearest")
+    change = map_coordinates(grid.astype(np.float32), at, order=1, mode="nearest")
     corrected = depth.copy()
     corrected[known] *= np.exp(np.clip(change, -MOST_CHANGE, MOST_CHANGE))
     return corrected

@@ -102,9 +102,9 @@ def _complete_all(
 ) -> None:
     sensor = open_sensor(workspace, frames.camera.width)
     again = has_second_pass(settings, sensor)
-    if again:
-        for folder in (workspace.depth, workspace.confidence):
-            shutil.rmtree(folder, ignore_errors=True)  # of a stopped run of a version without it: nothing is refined
+    # Of a stopped run of a version that had another rule for a second pass: nothing is refined yet, or need be.
+    for folder in (workspace.depth, workspace.confidence) if again else (workspace.first_depth,):
+        shutil.rmtree(folder, ignore_errors=True)
     width, motion, planned = frames.camera.width, settings.keyframe_motion, []
     for submap, least in zip(submaps, least_of_each([len(one.frames) for one in submaps]), strict=True):
         planned.append(_planned(frames, submap, choose_keyframes(submap, width, motion, least), workspace))

@@ -61,16 +61,17 @@ def test_it_is_simple_kriging(monkeypatch, shape):
     assert off(found, expected).mean() < 0.04 * off(estimate, expected).mean()
 
 
-@pytest.mark.parametrize("expected", [0.02, 0.7, 30.0])
-def test_points_close_together_are_as_in_double_precision(monkeypatch, expected):
-    """A thousand points within 32 pixels: as good as singular, where the depth is told to be unsure."""
+@pytest.mark.parametrize(("expected", "single"), [(0.02, True), (0.1, True), (0.7, False), (1e4, False)])
+def test_single_precision_says_what_double_does_and_is_used_up_to_a_limit(monkeypatch, expected, single):
+    """A thousand points within 32 pixels."""
     estimate, near = (WALL * np.exp(WAVE)).astype(np.float32), (ROWS < 32) & (COLUMNS < 32)
     sparse, error = (np.where(near, image, np.float32(0)) for image in points_of(WALL, 4096, told=0.004))
     doubt = np.full_like(WALL, expected)
     found = towards_points(estimate, doubt, sparse, error, most_points=4096)
     monkeypatch.setattr(kriging, "SINGLE_PRECISION", 0)
     double = towards_points(estimate, doubt, sparse, error, most_points=4096)
-    assert off(found, double).max() < 2e-4
+    assert np.array_equal(found, double) != single
+    assert off(found, double).max() < 1e-5
     assert off(double, estimate).max() > 0.02
 
 

@@ -1,7 +1,9 @@
 """Keyframes completed in batches, as on a GPU, and one by one, as on a CPU: the same frames are kept and written."""
 
+import shutil
 from contextlib import nullcontext
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from pipeline.depth import completion_stage
 from pipeline.depth.completion_stage import complete_depth
 from pipeline.depth.depth_io import read_depth
 from pipeline.depth.keyframe_store import DiskKeyframes
-from pipeline.depth.sparse_depth import SparseDepth
+from pipeline.depth.sparse_depth import SparseDepth, SparseDepthMaker
 from tests.helpers.tiny_run import SIDE, make_tiny_run
 
 FEW = 3  # a row with too few points
@@ -70,3 +72,32 @@ def test_depth_of_a_stopped_run_is_kept_only_where_no_pass_follows(tmp_path, pho
     assert workspace.depth.exists() != photometric
     values = {float(np.median(read_depth(path))) for path in made.glob("*[0-9].png") if "confidence" not in path.name}
     assert (values == {1.0}) == photometric
+
+
+@pytest.mark.parametrize(("gives", "at_once"), [("gathered", True), ("none", False)])
+def test_where_a_sensor_gives_points_depth_is_corrected_when_it_is_completed(tmp_path, monkeypatch, gives, at_once):
+    """And what an earlier version left to be refined is made anew."""
+    corrected = []
+
+    class Recorder(Constant):
+        def batch(self, rgb, sparse, error, corrected_too):
+            corrected.append(corrected_too)
+            return super().batch(rgb, sparse, error, corrected_too)
+
+    sensor = SimpleNamespace(settings=SimpleNamespace(points=gives))
+    monkeypatch.setattr(completion_stage, "open_sensor", lambda *_: sensor)
+    monkeypatch.setattr(
+        completion_stage, "points_of", lambda one, *_: SparseDepthMaker(one.submap, one.camera).sparse_depth
+    )
+    run = make_tiny_run(tmp_path / "run", first=24, second=8)
+    workspace, submaps = run.workspace, [one.submap for one in run.completed]
+    workspace.record["stages"].pop(completion_stage.STAGE, None)
+    workspace.first_depth.mkdir()
+    (workspace.first_depth / "000000.png").write_bytes(b"half of a picture")
+    shutil.rmtree(workspace.depth)
+    settings = DepthSettings(keyframe_motion=1e-3)
+    found = complete_depth(run.frames, submaps, Recorder, settings, workspace, SilentProgress())
+    assert corrected
+    assert set(corrected) == {at_once}
+    assert workspace.first_depth.exists() != at_once
+    assert all((one.depth(int(row))[0] == 1).all() for one in found for row in one.rows[-2:])
