@@ -57,7 +57,7 @@ def has_second_pass(settings: DepthSettings, sensor: SensorDepth | None) -> bool
 
 
 def _asks_patches(settings: DepthSettings, sensor: SensorDepth | None) -> bool:
-    """What a sensor measured holds depth better than patches do."""
+    """Whether patches correct the depth. Not where a sensor's points are used: they hold it better."""
     return settings.photometric and (sensor is None or sensor.settings.points == "none")
 
 
@@ -75,10 +75,8 @@ def refine_depth(
         return completed
 
     def make() -> None:
-        completer, sensor = (
-            load_completer() if settings.multiview else None,
-            open_sensor(workspace, frames.camera.width),
-        )
+        completer = load_completer() if settings.multiview else None
+        sensor = open_sensor(workspace, frames.camera.width)
         _refine_all(frames, completed, completer, sensor, _asks_patches(settings, sensor), workspace, progress)
 
     refined = DiskKeyframes(workspace)
