@@ -33,7 +33,7 @@ from pipeline.run_folder.resuming import resume_workspace
 from pipeline.run_folder.stage_clock import StageClock
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.coverage_stage import coverage_stage
-from pipeline.surface.fusion_stage import SurfaceSettings, fuse_depth
+from pipeline.surface.fusion_stage import SurfaceSettings, forget_lost_surfaces, fuse_depth
 from pipeline.surface.given_scales import given_scales
 from pipeline.surface.lamp_file import read_lamp
 from pipeline.surface.scale import ScaleSource, check_scale_file, check_scale_frames
@@ -69,6 +69,8 @@ def reconstruct(
     preparation = Preparation(config.model, config.device, config.depth.iterations)
     # The lock: nobody else works in the run folder meanwhile.
     with preparation, _workspace(video, Path(output), config, resume, overwrite) as workspace:
+        if resume:
+            forget_lost_surfaces(workspace)
         if workspace.made_anew:
             progress.log(f"the surface and what follows it are made anew: {workspace.made_anew}")
         preparation.begin(with_network=not workspace.is_done(DEPTH_STAGE))

@@ -29,7 +29,8 @@ class Accumulator:
         self._strata: list[dict[str, FrameStratum]] = []
         self._sample_frames: list[FrameResult] = []
         self._every = 1
-        self._maps = tempfile.TemporaryFile() if trajectory else None  # noqa: SIM115
+        # Not a plain file, in which NumPy's error of a full disk does not say so.
+        self._maps = tempfile.SpooledTemporaryFile(max_size=1) if trajectory else None  # noqa: SIM115
 
     def __enter__(self) -> Accumulator:
         return self

@@ -23,6 +23,7 @@ from completion.evaluation.predictors import Predictor
 from haustra.core.errors import CompletionError
 
 Array = NDArray[np.floating]
+MOST_GIVEN = 0.5  # share of the true pixels that may be points: those that are given back are no errors
 COLUMNS = ("rmse", "abs_rel", "mae", "delta_1", "delta_2", "delta_3", "scale", "pixels", "missing")
 
 
@@ -85,14 +86,17 @@ class FrameResult(Score):
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Names of frames that cannot be judged: those without any true depth, and those in which the sampler finds no
-    point with true depth."""
+    """Names of frames that cannot be judged: those without any true depth, those in which the sampler finds no point
+    with true depth, and those whose true depth is mostly given to the network as points."""
 
     without_truth: list[str] = field(default_factory=list)
     without_points: list[str] = field(default_factory=list)
+    without_others: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
-        counts = (len(self.without_truth), "true depth"), (len(self.without_points), "points")
+        what = {"true depth": self.without_truth, "points": self.without_points}
+        what["true depth but at the points"] = self.without_others
+        counts = ((len(names), missing) for missing, names in what.items())
         frames = ", ".join(f"{count} without {what}" for count, what in counts if count)
         return frames and f"{frames} left out"
 
@@ -122,6 +126,9 @@ def evaluate_frames(
         sparse = sampler(frame.rgb, frame.depth, protocol.points, rng)
         if not sparse.points:
             left_out.without_points.append(frame.name)
+            continue
+        if sparse.points > MOST_GIVEN * np.count_nonzero(frame.depth > 0):
+            left_out.without_others.append(frame.name)
             continue
         depth, confidence = predict(frame.rgb, sparse.depth, frame.intrinsics)
         depth = depth / np.float32(sparse.factor)

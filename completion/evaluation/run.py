@@ -191,6 +191,11 @@ def _run(
                 f"the sampler {protocol.sampler!r} finds no point with true depth in any of "
                 f"{counted(len(left_out.without_points), 'frame')} of {folder}; try --sampler uniform"
             )
+        if left_out.without_others:
+            raise CompletionError(
+                f"in {counted(len(left_out.without_others), 'frame')} of {folder} most pixels with true depth are "
+                f"points that are given, so that nothing is left to judge; give fewer (--points, {protocol.points} now)"
+            )
         if left_out.without_truth:
             read = f"{counted(len(left_out.without_truth), 'frame')} of {folder} read as {layout}"
             raise CompletionError(f"{read}, and none has true depth: every pixel has the value that means none")
@@ -232,6 +237,7 @@ def _record(
         },
         "left_out": accumulator.left_out.without_truth,
         "without_points": accumulator.left_out.without_points,
+        "without_others": accumulator.left_out.without_others,
         "frames": [{"frame": r.name, "points": r.points, **r.errors.to_dict()} for r in accumulator.scores],
     }
 

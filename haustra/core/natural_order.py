@@ -1,4 +1,4 @@
-"""Files in the order of the numbers in their names."""
+"""Files in the order of the numbers in their names; IMG_2 and img_3 are of one kind."""
 
 import re
 from pathlib import Path
@@ -14,6 +14,6 @@ def in_natural_order(paths: list[Path]) -> list[Path]:
 
     def key(path: Path) -> list[tuple[float, str]]:
         parts = number.split(path.stem)
-        return [(float(part), "") if place % 2 else (-1.0, part) for place, part in enumerate(parts)]
+        return [(float(part), "") if place % 2 else (-1.0, part.casefold()) for place, part in enumerate(parts)]
 
     return sorted(paths, key=lambda path: (key(path), path.name))

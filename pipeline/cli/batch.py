@@ -183,7 +183,10 @@ def resume_hint(videos: list[Path], output: Path, config: Config, failed: int) -
 
 def kept_outcome(job: Job, config: Config) -> Outcome | None:
     """Outcome of a run that is whole; None where this video has none with these settings, and so there is work."""
-    if not is_same(job, config) or not open_workspace(job.folder).is_done("report"):
+    if not is_same(job, config):
+        return None
+    workspace = open_workspace(job.folder)
+    if not workspace.is_done("report") or not workspace.mesh.is_file():
         return None
     outcome = finished_outcome(job.video, job.folder)
     return outcome if outcome.status == KEPT else None

@@ -24,7 +24,7 @@ from pipeline.run_folder.malloc import keep_freed_memory
 OF_FILE_SYSTEM = ("ENOSPC", "EACCES", "EROFS", "EDQUOT", "EFBIG", "ENOENT", "ENOTDIR", "EISDIR", "ENAMETOOLONG")
 FILE_SYSTEM_SAYS_NO: tuple[int, ...] = tuple(getattr(errno, name) for name in OF_FILE_SYSTEM)
 INTERRUPTED = 130  # the shell's code for Ctrl-C
-KEPT = "what was finished is kept: the same command goes on (reconstruct, live: with --resume if the run was begun)"
+GO_ON_BY_THEMSELVES = ("batch", "phantom", "train")
 # Help is plain text: rich's boxes take as long to load as all else.
 PLAIN: dict[str, Any] = {"rich_markup_mode": None, "context_settings": {"max_content_width": 120}}
 
@@ -175,19 +175,29 @@ def run_cleanly(command: Callable[[], Any]) -> int:
     except HaustraError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print(f"stopped; {KEPT}", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"stopped; {_way_on(stop)}", file=sys.stderr)
         return INTERRUPTED
     except OSError as error:
         if error.errno not in FILE_SYSTEM_SAYS_NO:
             raise
         where = f" ({error.filename})" if error.filename else ""
-        print(f"error: {os.strerror(error.errno)}{where}; mend that: {KEPT}", file=sys.stderr)
+        print(f"error: {os.strerror(error.errno)}{where}; mend that: {_way_on(error)}", file=sys.stderr)
         return 1
     finally:
         _leave_no_tensors()
         gc.freeze()  # or the interpreter, as it ends, looks for cycles among the 400,000 objects that libraries have
     return 0
+
+
+def _way_on(error: BaseException | None) -> str:
+    """What to do after a command that was cut short: as the run folder that it had begun says in a note, if any."""
+    while error is not None:
+        for note in getattr(error, "__notes__", ()):
+            return str(note)
+        error = error.__cause__ or error.__context__
+    kept = "what was finished is kept: the same command goes on"
+    return kept if sys.argv[1:2] and sys.argv[1] in GO_ON_BY_THEMSELVES else "give the command again"
 
 
 def _leave_no_tensors() -> None:

@@ -152,8 +152,10 @@ def _second_opinion(
 
     opinions, failure = ask_of_each(stretches, ask, deadline, job.workspace.log, progress)
     by_mapper = joined(found, total, opinions)
-    if opinions and not any(by_mapper.values()):
-        progress.log(f"by what is known of them the maps of {SECOND} are no better; those of {FIRST} stay")
+    if opinions and not any(by_mapper.values()) and found:
+        has_maps = any(maps for one in opinions for maps in one.candidates.values())
+        why = f"by what is known of them the maps of {SECOND} are no better" if has_maps else f"{SECOND} found no map"
+        progress.log(f"{why}; {'that' if len(found) == 1 else 'those'} of {FIRST} stay{'s' if len(found) == 1 else ''}")
     result = Result(by_mapper, {}, in_parts=count < total) if by_mapper else None
     return result, None if opinions else failure
 

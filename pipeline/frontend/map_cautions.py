@@ -11,6 +11,7 @@ from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 
 FEW_POSED = 0.5  # of the usable frames
+FEW_PX = 100  # of the shorter side of a picture, in which corners and features are few
 
 
 def advice_after(front_ends: Iterable[str], workspace: Workspace) -> str:
@@ -21,8 +22,10 @@ def advice_after(front_ends: Iterable[str], workspace: Workspace) -> str:
     )
 
 
-def advice_unrelated(front_ends: Iterable[str], workspace: Workspace) -> str:
-    """What to try where these front ends made no map at all."""
+def advice_unrelated(front_ends: Iterable[str], camera: Camera, workspace: Workspace) -> str:
+    """What to try where these front ends made no map at all. camera: of the working frames."""
+    if min(camera.width, camera.height) < FEW_PX:
+        return f"the pictures show {camera.width}x{camera.height} pixels, which hold few features: give larger ones"
     longer = "give a longer part, or one where the camera moves more (--start, --end)"
     other = f", or try --front-end {SECOND}" if FIRST in front_ends and SECOND not in front_ends else ""
     return f"{_check_lens(workspace)}{longer}{other}"

@@ -118,7 +118,7 @@ def _solve(
     mapper = best_mapper(by_mapper, total) if by_mapper else ""
     found = by_mapper.get(mapper, [])
     if not found:
-        raise HaustraError(_why_nothing(results, failure, total, workspace))
+        raise HaustraError(_why_nothing(results, failure, frames, workspace))
     name = next(name for name, result in results.items() if mapper in result.candidates)
     with single_threaded():
         kept = uncovered(accepted(found))
@@ -145,12 +145,13 @@ def _solve(
         progress.log(camera_trust(frames.camera, kept[0].submap, settings.poses.file is not None))
 
 
-def _why_nothing(results: dict[str, Result], failure: str | None, total: int, workspace: Workspace) -> str:
+def _why_nothing(results: dict[str, Result], failure: str | None, frames: Frames, workspace: Workspace) -> str:
     """One sentence on a film of which no front end made a submap. failure: why the second one failed, if it did."""
     tried = [*results, *([] if failure is None else [SECOND])]
     why = (
         f"no two frames could be related: too few features that they share, or too little motion of the camera "
-        f"({total} frames tried by {', '.join(results)}); {advice_unrelated(tried, workspace)}"
+        f"({len(frames.index)} frames tried by {', '.join(results)}); "
+        f"{advice_unrelated(tried, frames.camera, workspace)}"
     )
     return why if failure is None else f"{why}; {SECOND} failed as well: {failure}"
 
@@ -217,8 +218,8 @@ def _sentence(candidates: list[Candidate], total: int) -> str:
     posed, first = frames_posed(candidates), candidates[0].check
     mappers = list(dict.fromkeys(one.mapper for one in candidates))
     by = " and ".join(mappers) + (" mapper" if len(mappers) == 1 else " mappers")
-    agreeing = 100 * (1 - first.inconsistent_share)
-    light = f", lighting consistent in {agreeing:.0f} % of {first.n_checked} frames" if first.n_checked else ""
+    contrary = f"{100 * first.inconsistent_share:.0f} % of {first.n_checked} frames"
+    light = f", nearer wall darker, against the lamp's light, in {contrary}" if first.n_checked else ""
     of_first = "" if len(candidates) == 1 else f"the first, of {counted(first.frames, 'frame')}, has "
     return (
         f"{posed} of {total} frames posed in {counted(len(candidates), 'submap')} by the {by}: {of_first}"

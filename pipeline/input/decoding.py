@@ -39,7 +39,10 @@ def open_video(path: Path) -> "InputContainer":
     try:
         container = av.open(file, "r", format=kind)
     except (av.error.FFmpegError, ValueError, OSError) as error:
-        raise HaustraError(f"{path} is not a video that FFmpeg can read (or its index is cut off)") from error
+        raise HaustraError(
+            f"{path} is not a video that FFmpeg can read (or its index is cut off); see whether a player shows it, and "
+            "save or copy it anew"
+        ) from error
     if not container.streams.video:
         container.close()
         raise HaustraError(f"{path} holds no video stream")

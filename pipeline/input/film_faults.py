@@ -86,10 +86,17 @@ def colour_shift(rgb: NDArray[np.uint8]) -> float:
 
     Edges whose colours a lens spreads lie off to all sides, and cancel.
     """
+    height, width = (_unpadded(side) for side in rgb.shape[:2])
     red, blue = (
-        cv2.Laplacian(cv2.GaussianBlur(rgb[..., channel].astype(np.float32), (0, 0), 1.5), cv2.CV_32F)
+        cv2.Laplacian(cv2.GaussianBlur(rgb[:height, :width, channel].astype(np.float32), (0, 0), 1.5), cv2.CV_32F)
         for channel in (0, 2)
     )
-    window = cv2.createHanningWindow((rgb.shape[1], rgb.shape[0]), cv2.CV_32F)
+    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
     (x, y), peak = cv2.phaseCorrelate(red, blue, window)
     return float(np.hypot(x, y)) if peak > CLEAR_PEAK else 0.0
+
+
+def _unpadded(side: int) -> int:
+    """The longest part of a side that OpenCV transforms as it is, of even length: of an odd one, to which it may pad
+    an even side, too, the shift is off by half a pixel."""
+    return next((n for n in range(side - side % 2, 1, -2) if cv2.getOptimalDFTSize(n) == n), side)

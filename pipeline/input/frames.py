@@ -150,7 +150,7 @@ def _find_area(source: Source, settings: FrameSettings) -> tuple[ContentArea, tu
         over = bool(passed) and passed[-1] < settings.start_s
         last = f"; the film's last frame is at {passed[-1]:.2f} s" if over else ""
         raise HaustraError(f"no frame lies between {settings.start_s:g} s and {end}{last}")
-    raise HaustraError("the video is black: no part of any frame is ever lit")
+    raise HaustraError("the video is black: no part of any frame is ever lit; give another part (--start), or film")
 
 
 def _in_range(source: Source, settings: FrameSettings, passed: list[float] | None = None) -> Iterator[RawFrame]:
@@ -259,7 +259,8 @@ def _too_few(verdicts: Counter[str], notes: list[str]) -> str:
         needed = f"the input has {looked_at} to look at; at least {MIN_FRAMES} are needed"
         return "; ".join([f"{needed}: give more of it (--start, --end, --stride), or another", *notes])
     tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked"
-    return "; ".join([f"{tracked}, at least {MIN_FRAMES} are needed ({_listed(verdicts)})", *notes])
+    which = "another part, or one where the camera moves" if verdicts["duplicate"] else "another part"
+    return "; ".join([f"{tracked}, at least {MIN_FRAMES} are needed ({_listed(verdicts)}); give {which}", *notes])
 
 
 def _listed(verdicts: Counter[str]) -> str:

@@ -162,7 +162,7 @@ class Source:
                 self._note(sentence)
             ending = how_it_ends(self.path, container, count, self.announced, clock) if count else ""
         if count == 0:
-            raise HaustraError(f"no frame of {self.path} can be decoded")
+            raise HaustraError(f"no frame of {self.path} can be decoded; save it as MP4, or as a folder of PNG images")
         if ending:
             self._note(ending)
 

@@ -75,6 +75,8 @@ class Workspace:
             with suppress(OSError):  # the wish was refused, and the surface is still the old one
                 self.record = self._before
                 self.save()
+        if isinstance(error, KeyboardInterrupt | OSError) and self.record_path.exists():
+            error.add_note(f"what was finished is kept in {self.root}: the same command with --resume goes on")
         if self.lock is not None:
             self.lock.release()
 
@@ -155,7 +157,8 @@ def open_workspace(root: Path) -> Workspace:
     """An existing run folder."""
     workspace = Workspace(root)
     if not workspace.record_path.exists():
-        raise HaustraError(f"{root} is not a run folder: it has no run.yaml")
+        why = "it has no run.yaml" if root.exists() else "there is no such folder"
+        raise HaustraError(f"{root} is not a run folder: {why}")
     try:
         workspace.record = yaml.safe_load(workspace.record_path.read_text())
         workspace.record["stages"], workspace.record["config"], workspace.record["source"]["sha256"]["source"]

@@ -13,6 +13,7 @@ from haustra.core.text import counted
 from haustra.core.threads import prefetched
 from pipeline.config import ConsistencySettings, FusionSettings
 from pipeline.depth.completed_submap import CompletedKeyframe, CompletedSubmap
+from pipeline.run_folder.resuming import FROM_SURFACE
 from pipeline.run_folder.stage import load_or_make
 from pipeline.run_folder.workspace import Workspace
 from pipeline.surface.depth_filter import DepthFilter
@@ -127,6 +128,20 @@ def _recorded_illumination(values: dict[str, Any]) -> Illumination:
     """An illumination from its entry `lamp` in run.yaml; that entry's own `lamp` is absent in older runs."""
     measured = values.get("lamp")
     return Illumination(**values | {"lamp": measured and Lamp(**measured | {"axis": tuple(measured["axis"])})})
+
+
+def forget_lost_surfaces(workspace: Workspace) -> None:
+    """Of a run that is gone on with: where a mesh is missing or damaged, the stage is no longer done, nor what follows
+    it, and `made_anew` says so. All that the surface is made of is still there."""
+    if not workspace.is_done(STAGE):
+        return
+    try:
+        load_surfaces(workspace)
+    except HaustraError as error:
+        workspace.made_anew = workspace.made_anew or str(error)
+        for stage in FROM_SURFACE:
+            workspace.record["stages"].pop(stage, None)
+        workspace.save()
 
 
 def mesh_path(workspace: Workspace, number: int) -> Path:

@@ -91,7 +91,7 @@ def test_all_black_video(run, tmp_path):
 
 def test_static_video(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(1) * 10)
-    assert_one_sentence(run("a.mp4"), "9 duplicate")
+    assert_one_sentence(run("a.mp4"), "9 duplicate); give another part, or one where the camera moves")
 
 
 def test_video_without_features(run, tmp_path):
@@ -118,6 +118,12 @@ def test_unrelated_frames(run, tmp_path):
     told = assert_one_sentence(run("a.mp4", "-q", "--front-end", "odometry"), "no two frames could be related")
     assert "6 frames tried by odometry" in told
     assert "give a longer part, or one where the camera moves more (--start, --end), or try --front-end sfm" in told
+
+
+def test_a_film_of_few_pixels_is_not_blamed_for_its_motion(run, tmp_path):
+    write_video(tmp_path / "a.mp4", [frame[:32, :32] for frame in textured_frames(20)])
+    told = assert_one_sentence(run("a.mp4", "-q", "--front-end", "odometry"), "no two frames could be related")
+    assert "the pictures show 32x32 pixels, which hold few features: give larger ones" in told
 
 
 def test_a_picture_of_another_size_in_a_folder(run, tmp_path):

@@ -246,7 +246,14 @@ def test_a_second_run_that_is_stopped_four_times_ends_the_same_to_the_bit(finish
         assert (folder / name).read_bytes() == (finished[0] / name).read_bytes(), f"{name}: of chance, or of the stops"
 
 
-@pytest.mark.parametrize("name", ["frames.json", "mesh.ply", "log/models/0/model.npz"])
+@pytest.mark.slow
+def test_a_lost_mesh_is_made_anew(finished, tmp_path):
+    (shutil.copytree(finished[0], folder := tmp_path / "copy") / "mesh.ply").write_bytes(b"\x00damage")
+    reconstruct(VIDEO, folder, tiny_config(), resume=True)
+    assert (folder / "mesh.ply").read_bytes() == (finished[0] / "mesh.ply").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["frames.json", "log/models/0/model.npz"])
 def test_a_damaged_run_is_named(finished, tmp_path, name):
     folder = tmp_path / "copy"
     shutil.copytree(finished[0], folder)

@@ -69,8 +69,8 @@ def _say_what_was_matched(path: Path, progress: Progress) -> None:
     counts = json.loads(path.read_text())
     if counts["matched"] < counts["pairs"]:
         progress.log(
-            f"of {counts['pairs']} pairs of frames {counts['matched']} were matched in the time, neighbours first; "
-            "these are mapped"
+            f"of {counts['pairs']} pairs of frames {counts['matched']} were matched in the time, neighbours first"
+            + ("; these are mapped" if counts["matched"] else "")
         )
 
 

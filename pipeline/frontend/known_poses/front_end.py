@@ -71,9 +71,8 @@ class KnownPosesFrontEnd:
         refine = settings.poses.refine
         with single_threaded():
             fits = ROUGHLY_FITS if refine else FITS
-            check = check_poses(
-                table.path, index.tolist(), given, rays, features, fits, table.sensor_from_camera, film.spacing(table)
-            )
+            of_table = table.sensor_from_camera, film.spacing(table), table.written
+            check = check_poses(table.path, index.tolist(), given, rays, features, fits, *of_table)
             if settings.poses.mm_per_unit is not None:
                 check_view(check.depth * settings.poses.mm_per_unit, "poses", POSES_UNIT)
             progress.log(

@@ -17,6 +17,7 @@ from haustra.core.ray_table import RayTable
 from haustra.core.se3 import Array
 from pipeline.frontend.known_poses.epipolar_lines import FEWEST_MATCHES, MatchedPair, inliers, matched_pairs
 from pipeline.frontend.known_poses.time_shift import find_shift
+from pipeline.input.pose_files.pose_table import INVERTED, OPENCV, OPENGL
 from pipeline.matching.sift import FindFeatures
 
 FITS = 0.5  # share of inliers from which on a reading can be the right one; wrong ones have a tenth
@@ -52,11 +53,12 @@ def scalar_first(world_from_camera: Array) -> Array:
     return result
 
 
-AS_GIVEN = "world_from_camera in OpenCV's axes"
+# What the matrices of a file may be, and how each of them becomes world_from_camera in OpenCV's axes. Of what a format
+# can ask for, each is its own inverse.
 READINGS: dict[str, Callable[[Array], Array]] = {
-    AS_GIVEN: lambda p: p,
-    "camera_from_world, that is, inverted": inverted,
-    "world_from_camera in OpenGL's axes (y up, z backwards)": lambda p: p @ Y_UP,
+    OPENCV: lambda p: p,
+    INVERTED: inverted,
+    OPENGL: lambda p: p @ Y_UP,
     "camera_from_world in OpenGL's axes": lambda p: inverted(p) @ Y_UP,
     "world_from_camera of a left-handed world (y down in the camera, up in the file)": lambda p: MIRROR @ p @ MIRROR,
     "world_from_camera with w before x y z in its quaternions": scalar_first,
@@ -87,12 +89,13 @@ def check_poses(
     fits: float = FITS,
     sensor_from_camera: Array | None = None,
     seconds_apart: float | None = None,
+    written: str = OPENCV,
 ) -> PoseCheck:
     """Test world_from_camera (N,4,4) of frames. HaustraError, one sentence, where another reading of the file fits the
     pictures, the poses are those of other frames, or no reading fits.
 
     fits: the share of inliers that is asked for. sensor_from_camera (4,4): of a tracker. seconds_apart: between two
-    frames, where the poses have times.
+    frames, where the poses have times. written: what the file's format asks for, which the poses were read as.
     """
     pairs = matched_pairs(frames, rays, find)
     asked = sum(len(pair.first) for pair in pairs)
@@ -102,13 +105,14 @@ def check_poses(
             "apart"
         )
     readings = READINGS | ({} if sensor_from_camera is None else readings_of_hand_eye(sensor_from_camera))
-    share = {name: _inlier_share(pairs, read(world_from_camera), rays.focal_px) for name, read in readings.items()}
-    given, best = share[AS_GIVEN], max(share, key=lambda name: share[name])
+    in_file = READINGS[written](world_from_camera)
+    share = {name: _inlier_share(pairs, read(in_file), rays.focal_px) for name, read in readings.items()}
+    given, best = share[written], max(share, key=lambda name: share[name])
     counted = f"{100 * share[best]:.0f} % of {asked} matches lie on their epipolar lines"
     if share[best] >= fits and share[best] > given + CLEARLY:
         raise HaustraError(
-            f"the poses of {path} fit the pictures as {best}: so read, {counted}, and as {AS_GIVEN} "
-            f"{100 * given:.0f} %; convert them"
+            f"the poses of {path} fit the pictures as {best}: so read, {counted}, and as {written}"
+            f"{'' if written == OPENCV else ', as this format has them,'} {100 * given:.0f} %; convert them"
         )
     shift = find_shift(frames, world_from_camera, pairs, rays.focal_px)
     if shift is not None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_text
-from pipeline.input.pose_files.pose_table import Array, PoseTable, rigid
+from pipeline.input.pose_files.pose_table import INVERTED, Array, PoseTable, rigid
 
 HEAD = struct.Struct("<I7dI")  # number, quaternion w x y z, translation, number of the camera
 IMAGE = re.compile(r"\s*\d+(\s+[-+\d.eE]+){7}\s+\d+\s+[^\n]*[^\W\d]")  # no line of points has a letter
@@ -47,7 +47,7 @@ def read_colmap_poses(path: Path) -> PoseTable | None:
         raise HaustraError(f"{path}: the quaternion of {none} is none: {found[none][0]}")
     names = sorted(found)
     poses = np.stack([_world_from_camera(*found[name]) for name in names])
-    return PoseTable(path, rigid(poses, str(path)), names=tuple(names))
+    return PoseTable(path, rigid(poses, str(path)), names=tuple(names), written=INVERTED)
 
 
 def _text(path: Path) -> dict[str, tuple[list[float], list[float]]]:

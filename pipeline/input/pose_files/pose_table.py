@@ -13,12 +13,16 @@ from haustra.core.extrapolation import extrapolated
 from haustra.core.se3 import interpolated
 from pipeline.input.image_folder import images_of, rows_by_number
 from pipeline.input.pose_files.pairing import FEWEST, MIN_PAIRED, paired
-from pipeline.run_folder.workspace import Workspace
+from pipeline.run_folder.workspace import Workspace, report_corruption
 
 POSES_UNIT = "poses' unit (--poses-mm)"
 SHOWN = 4  # folders
 SAME_TIME = 0.03  # of the spacing: times are rounded to milliseconds, and such a pose is taken as it is
 WIDEST_GAP = 1.5  # of the median spacing, between two poses that one between them is made of
+
+OPENCV = "world_from_camera in OpenCV's axes"
+INVERTED = "camera_from_world in OpenCV's axes"
+OPENGL = "world_from_camera in OpenGL's axes (y up, z backwards)"
 
 Array = NDArray[np.float64]
 
@@ -28,7 +32,8 @@ class PoseTable:
     """world_from_camera (N,4,4), OpenCV's axes. They belong to frames by seconds (N,), by the names of pictures, or,
     where both are None, by their order: `lines` (N,) are then the numbers, from 0, of those lines of `line_count` that
     have a pose; None: all have one. path: of the file, for sentences. sensor_from_camera (4,4): the hand-eye
-    transform that a tracker's poses were brought to the camera by."""
+    transform that a tracker's poses were brought to the camera by. written: what the matrices are in the file by its
+    format, `OPENCV`, `INVERTED` or `OPENGL`."""
 
     path: Path
     world_from_camera: Array
@@ -37,6 +42,7 @@ class PoseTable:
     lines: tuple[int, ...] | None = None
     line_count: int = 0
     sensor_from_camera: Array | None = None
+    written: str = OPENCV
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,8 @@ class FilmFrames:
 
     @staticmethod
     def of(workspace: Workspace) -> "FilmFrames":
-        listed = json.loads(workspace.frames.read_text())["frames"]
+        with report_corruption(workspace.frames):
+            listed = json.loads(workspace.frames.read_text())["frames"]
         source = Path(workspace.record["source"]["path"])
         pictures = images_of(source)[0] if source.is_dir() else []
         return FilmFrames(

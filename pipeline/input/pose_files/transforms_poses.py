@@ -6,7 +6,7 @@ import numpy as np
 
 from haustra.core.errors import HaustraError
 from haustra.core.text import read_json
-from pipeline.input.pose_files.pose_table import PoseTable, rigid
+from pipeline.input.pose_files.pose_table import OPENGL, PoseTable, rigid
 
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -23,4 +23,4 @@ def read_transforms_poses(path: Path) -> PoseTable | None:
         names = [str(frame["file_path"]) for frame in frames]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise HaustraError(f"{file}: each frame needs file_path and a transform_matrix of 4x4 numbers") from error
-    return PoseTable(file, rigid(matrices, str(file)) @ OPENCV_FROM_OPENGL, names=tuple(names))
+    return PoseTable(file, rigid(matrices, str(file)) @ OPENCV_FROM_OPENGL, names=tuple(names), written=OPENGL)

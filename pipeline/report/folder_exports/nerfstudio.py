@@ -4,9 +4,11 @@ docs.nerf.studio/quickstart/data_conventions.html. Its depth is a thousand times
 poses in m, as it puts that): so are the arrays in depth/.
 """
 
+import io
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.finished_run import Run
 from pipeline.input.frames import write_image, write_png
@@ -17,6 +19,13 @@ from reconstruction.mesh.surface_mesh import SurfaceMesh
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 DEPTH_PER_UNIT = 1000  # nerfstudio multiplies by its depth_unit_scale_factor, 1e-3
+
+
+def write_npy(path: Path, array: NDArray[np.float32]) -> None:
+    """As `np.save`, whose error of a full disk says neither that nor where."""
+    data = io.BytesIO()
+    np.save(data, array, allow_pickle=False)
+    path.write_bytes(data.getbuffer())
 
 
 def export_nerfstudio(run: Run, target: Path) -> Path:
@@ -31,7 +40,7 @@ def export_nerfstudio(run: Run, target: Path) -> Path:
         )
         write_image(folder / image, view.rgb)
         write_png(folder / mask, view.mask)
-        np.save(folder / depth, view.depth * np.float32(DEPTH_PER_UNIT), allow_pickle=False)
+        write_npy(folder / depth, view.depth * np.float32(DEPTH_PER_UNIT))
         matrix = (view.world_from_camera @ OPENGL_FROM_OPENCV).tolist()
         frames.append({"file_path": image, "mask_path": mask, "depth_file_path": depth, "transform_matrix": matrix})
         pictures[view.number] = view.rgb

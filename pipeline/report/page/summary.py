@@ -134,7 +134,7 @@ def _time_of_stage(one: dict[str, Any]) -> str:
 def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
     unit, check = unit_label(submap["unit"]), submap["evidence"]
     light = (
-        f"of the {check['voters']} frames that tell (rank correlation of brightness with distance: "
+        f"of the {check['voters']} frames with enough points (rank correlation of brightness with distance: "
         f"{check['spearman']:.2f} in the median, -1 at best)"
     )
     return [
@@ -147,8 +147,8 @@ def _submap_rows(number: int, submap: dict[str, Any]) -> list[tuple[str, str]]:
         (
             "checks",
             f"reprojection error {check['reprojection_px']:.2f} px (mean); triangulation angle "
-            f"{check['angle_deg']:.1f}° (median); nearer wall is brighter, as the endoscope's own light demands, in "
-            f"{100 * (1 - check['contrary']):.0f} % {light}",
+            f"{check['angle_deg']:.1f}° (median); nearer wall is darker, against the endoscope's own light, in "
+            f"{100 * check['contrary']:.0f} % {light}",
         ),
         *_doubt_rows(submap.get("doubt")),
         ("scale", submap["scale"]),

@@ -150,10 +150,10 @@ def test_the_command_writes_what_it_prints(tmp_path: Path) -> None:
 
 def test_a_table_counts_the_points_that_it_is_of_and_the_pixels_that_it_leaves_out(tmp_path: Path) -> None:
     folder = generate(TINY, tmp_path / "phantom", threads=1)
-    protocols = [Protocol(points=10**6, stride=2), Protocol(points=20)]
+    protocols = [Protocol(points=500, sampler="by_chance", stride=2), Protocol(points=20)]
     text = evaluate([folder], ["nearest"], protocols, Outputs(), None, SilentProgress())
     many, few = text.split("**phantom**: ")[1:]
-    assert re.search(r"1000000 uniform points \(\d+( to \d+)? found in a frame\), .* one frame in 2", many)
+    assert re.search(r"500 by_chance points \(\d+( to \d+)? found in a frame\), .* one frame in 2", many)
     assert "20 uniform points, no" in few
     assert "one frame in" not in few
     assert "no depth at" not in text
@@ -161,6 +161,13 @@ def test_a_table_counts_the_points_that_it_is_of_and_the_pixels_that_it_leaves_o
         blind = lambda rgb, sparse, lens: (np.where(np.arange(64) < 16, 0, 9.0).repeat(64).reshape(64, 64).T, None)  # noqa: E731
         accumulator.add_all(evaluate_frames([frame()], blind, Protocol()))
         assert _with_gaps("half", accumulator) == "half (no depth at 25 % of the pixels, in no error)"
+
+
+def test_points_that_are_given_back_are_no_score(tmp_path: Path) -> None:
+    """All true pixels as points: an interpolation would have no error at all."""
+    folder = generate(TINY, tmp_path / "phantom", threads=1)
+    with pytest.raises(CompletionError, match=r"most pixels with true depth are points .*--points, 4000 now"):
+        evaluate([folder], ["nearest"], [Protocol(points=4000)], Outputs(), None, SilentProgress())
 
 
 @pytest.mark.parametrize("given", ["..", "depth/..", "."])

@@ -32,6 +32,7 @@ def finish(video, folder, config=None):
     """A run folder as a finished reconstruction leaves it, as far as a batch looks."""
     workspace = create_workspace(folder, video, config or load_config(None), overwrite=False)
     workspace.finish("report")
+    workspace.mesh.touch()
     write_json(workspace.metrics, METRICS)
     workspace.lock.release()
 
@@ -65,7 +66,10 @@ def test_only_whole_runs_with_the_same_settings_count_as_finished(videos, tmp_pa
     assert kept_outcome(job, config).area == 3.5
     assert kept_outcome(job, load_config(None, seed=3)) is None
     assert kept_outcome(Job(videos[0], tmp_path / "nowhere"), config) is None
-    (tmp_path / "run" / "metrics.json").unlink()
+    (tmp_path / "run" / "metrics.json").rename(tmp_path / "metrics.json")
+    assert kept_outcome(job, config) is None
+    (tmp_path / "metrics.json").rename(tmp_path / "run" / "metrics.json")
+    (tmp_path / "run" / "mesh.ply").unlink()
     assert kept_outcome(job, config) is None
 
 

@@ -1,7 +1,9 @@
 """What the command line says against the settings file, and the options that reach a run."""
 
+import errno
 import subprocess
 import sys
+from contextlib import nullcontext
 from inspect import signature
 from typing import get_type_hints
 
@@ -15,6 +17,7 @@ from pipeline.cli import main as cli
 from pipeline.config import FAST_KEYFRAME_MOTION, OdometrySettings, load_config
 from pipeline.demo import CAMERA, VIDEO
 from pipeline.report import rerun_export
+from pipeline.run_folder.workspace import Workspace
 
 
 @pytest.fixture
@@ -48,6 +51,29 @@ sys.exit(run_cleanly(command))
 """
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
     assert (ended.returncode, ended.stdout) == (0, ""), ended.stderr
+
+
+@pytest.mark.parametrize("fault", [KeyboardInterrupt(), OSError(errno.ENOSPC, "full")])
+def test_a_command_that_is_cut_short_says_how_to_go_on(tmp_path, monkeypatch, capsys, fault):
+    """By the run that it had begun, if any; another command has nothing to go on with."""
+
+    def cut(run):
+        with run:
+            raise fault
+
+    (tmp_path / "run").mkdir()
+    workspace = Workspace(tmp_path / "run")
+    monkeypatch.setattr(sys, "argv", ["haustra", "compare"])
+    assert cli.run_cleanly(lambda: cut(workspace)) in (1, cli.INTERRUPTED)
+    assert capsys.readouterr().err.strip().endswith("give the command again")
+    workspace.save()
+    cli.run_cleanly(lambda: cut(workspace))
+    kept = f"what was finished is kept in {workspace.root}: the same command with --resume goes on"
+    assert capsys.readouterr().err.strip().endswith(kept)
+    fault.__notes__.clear()
+    monkeypatch.setattr(sys, "argv", ["haustra", "batch"])
+    cli.run_cleanly(lambda: cut(nullcontext()))
+    assert capsys.readouterr().err.strip().endswith("what was finished is kept: the same command goes on")
 
 
 def test_an_option_overrides_its_setting_and_leaves_the_section_alone(tmp_path):

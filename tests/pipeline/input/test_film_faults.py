@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.input.film_faults import MOVING_FRAMES, look_at, row_change
+from pipeline.input.film_faults import MOVING_FRAMES, colour_shift, look_at, row_change
 from pipeline.input.video import Source
 from tests.helpers.real_data import shared
 from tests.helpers.videos import textured_frames, write_video
@@ -72,6 +72,16 @@ def test_colours_lit_in_turn_are_told_with_their_distance(step: int) -> None:
     assert plain.fringe_px == 0
     assert fringed.fringe_px == pytest.approx(2 * step, abs=0.3)
     assert f"{fringed.fringe_px:.1f} px apart" in fringed.notes[0]
+
+
+@pytest.mark.parametrize("size", [(160, 160), (202, 150), (135, 225), (161, 243)])
+def test_pictures_of_any_size_without_colour_have_no_fringe(size: tuple[int, int]) -> None:
+    """OpenCV pads a side to a length that it transforms fast, and is off by half a pixel where that is odd."""
+    grey = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, size, dtype=np.uint8), (0, 0), 2)
+    picture = np.dstack([cv2.equalizeHist(grey)] * 3)
+    assert colour_shift(picture) == pytest.approx(0, abs=1e-3)
+    picture[..., 2] = np.roll(picture[..., 2], 3, axis=1)
+    assert colour_shift(picture) == pytest.approx(3, abs=0.3)
 
 
 def test_a_lens_that_spreads_colours_outwards_is_no_such_processor() -> None:

@@ -76,6 +76,11 @@ def test_numbers_are_ordered_by_value(names: list[str], ordered: list[str]) -> N
     assert [path.stem for path in found] == ordered
 
 
+def test_capitals_are_no_other_order() -> None:
+    names = ["IMG_1", "img_2", "IMG_3", "img_10", "IMG_11"]
+    assert [path.stem for path in in_natural_order([Path(f"{name}.png") for name in sorted(names)])] == names
+
+
 @pytest.mark.parametrize("suffix", [".jfif", ".jpe", ".JPG", ".TIFF", ".dib", ".pnm", ".webp", ".jp2", ".bmp", ".ppm"])
 def test_what_a_picture_is_its_content_says_under_any_usual_suffix(tmp_path: Path, suffix: str) -> None:
     assert len(list(Source(write_pictures(tmp_path, list("12345"), suffix)))) == 5

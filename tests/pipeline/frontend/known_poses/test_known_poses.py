@@ -9,11 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from haustra.core.errors import HaustraError
 from haustra.core.progress import SilentProgress
+from haustra.core.ray_table import RayTable
 from pipeline.config import Config, PoseSettings
+from pipeline.frontend.known_poses.pose_check import READINGS, check_poses
 from pipeline.frontend.odometry.frame_io import frame_features
 from pipeline.frontend.points_stage import find_points
 from pipeline.frontend.registry import check_front_end
 from pipeline.frontend.structure_stage import scene_unit, solve_structure
+from pipeline.input.pose_files.pose_table import INVERTED, OPENCV, OPENGL
 from pipeline.surface.given_scales import scale_of_poses
 from reconstruction.evaluation.trajectory_io import write_tum
 from tests.helpers.tubes.textured_tube import RADIUS, camera_at, render, stored
@@ -157,7 +160,7 @@ def scalar_first(poses):
 
 
 WRONG = {
-    "camera_from_world, that is, inverted": inverted(POSES),
+    "camera_from_world in OpenCV's axes": inverted(POSES),
     "OpenGL's axes": POSES @ Y_UP,
     "camera_from_world in OpenGL's axes": inverted(POSES @ Y_UP),
     "left-handed world": MIRROR @ POSES @ MIRROR,
@@ -171,6 +174,17 @@ def test_wrong_axes_are_named_in_one_sentence(tmp_path, pictures, name):
         solved(tmp_path, pictures, WRONG[name])
     assert name in str(refusal.value)
     assert "poses.txt" in str(refusal.value)
+
+
+@pytest.mark.parametrize("written", [INVERTED, OPENGL])
+def test_axes_are_told_as_they_are_in_the_file(tmp_path, pictures, written):
+    """A file in OpenCV's axes whose format asks for others, which the reader took it for."""
+    workspace, frames = filmed(tmp_path, pictures, POSES)
+    misread, features, rays = READINGS[written](POSES), frame_features(workspace), RayTable(frames.camera)
+    with pytest.raises(HaustraError) as refusal:
+        check_poses(tmp_path / "poses", range(COUNT), misread, rays, features, written=written)
+    assert f"fit the pictures as {OPENCV}: so read" in str(refusal.value)
+    assert f"and as {written}, as this format has them, " in str(refusal.value)
 
 
 SENSOR_FROM_CAMERA = np.eye(4)
