@@ -8,9 +8,21 @@ MERGE = "tag:yaml.org,2002:merge"  # of <<, which may stand twice
 
 
 def load_unique(text: str) -> Any:
-    """What a YAML text holds. yaml.YAMLError, whose first line says what is wrong, where it is none."""
-    _check(yaml.compose(text, yaml.SafeLoader), set())
-    return yaml.safe_load(text)
+    """What a YAML text holds. yaml.YAMLError, whose first line says what is wrong and where, where it is none."""
+    try:
+        _check(yaml.compose(text, yaml.SafeLoader), set())
+        return yaml.safe_load(text)
+    except yaml.MarkedYAMLError as error:
+        raise yaml.YAMLError(in_words(error)) from error
+
+
+def in_words(error: yaml.YAMLError) -> str:
+    """What is wrong with a YAML text, and on which line."""
+    if not isinstance(error, yaml.MarkedYAMLError):
+        return str(error).splitlines()[0]
+    mark = error.problem_mark or error.context_mark
+    what = "a tab, where YAML has spaces alone" if "'\\t'" in str(error.problem) else error.problem or error.context
+    return f"{what}" if mark is None else f"{what} (line {mark.line + 1})"
 
 
 def _check(node: yaml.Node | None, seen: set[int]) -> None:

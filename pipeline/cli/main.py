@@ -28,6 +28,8 @@ GO_ON_BY_THEMSELVES = ("batch", "phantom", "train")
 # Help is plain text: rich's boxes take as long to load as all else.
 PLAIN: dict[str, Any] = {"rich_markup_mode": None, "context_settings": {"max_content_width": 120}}
 
+os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # of files that cannot be read there is a sentence of our own
+
 app = typer.Typer(no_args_is_help=True, add_completion=False, **PLAIN)
 
 

@@ -6,7 +6,8 @@ from haustra.core.camera import Camera
 from pipeline.config import FrontEndSettings
 from pipeline.frontend.odometry.self_calibration import doubt_of_lens
 from pipeline.frontend.registry import FIRST, SECOND
-from pipeline.frontend.scoring import MAX_INCONSISTENT, Candidate
+from pipeline.frontend.scoring import MAX_INCONSISTENT, MIN_JUDGED, Candidate
+from pipeline.mapping.map_doubt import FAMILY
 from pipeline.mapping.submap import Submap
 from pipeline.run_folder.workspace import Workspace
 
@@ -64,6 +65,11 @@ def doubts_of_submaps(candidates: list[Candidate], advice: str) -> list[str]:
             found.append(
                 f"submap {number} is not to be trusted: the endoscope's lamp makes near wall bright, but in "
                 f"{share:.0f} % of {check.n_checked} frames nearer points are darker; {advice}"
+            )
+        elif number == 0 and one.mapper in FAMILY and check.frames < MIN_JUDGED:
+            found.append(
+                f"submap 0 has {check.frames} frames, and it takes {MIN_JUDGED} to judge whether a map is right; give "
+                "a longer part"
             )
     return found
 

@@ -134,6 +134,16 @@ def test_a_section_that_stands_twice_is_refused_and_named(tmp_path):
         load_config(path)
 
 
+def test_a_text_that_is_no_yaml_is_named_by_its_line(tmp_path):
+    path = tmp_path / "settings.yaml"
+    path.write_text("seed: 1\nframes:\n\tstride: 2\n")
+    with pytest.raises(HaustraError, match=r"settings.yaml: a tab, where YAML has spaces alone \(line 3\)"):
+        load_config(path)
+    path.write_text("seed: 1\nframes: [1, 2\nfast: true\n")
+    with pytest.raises(HaustraError, match=r"expected ',' or '\]', but got .* \(line 3\)"):
+        load_config(path)
+
+
 def test_merged_sections_and_names_of_two_kinds_are_no_repetition():
     text = "base: &b {a: 1}\nmid: &m {<<: *b, a: 2}\ntop: {<<: *m}\nmixed: {1: x, '1': y}\nagain: *m\n"
     assert load_unique(text) == yaml.safe_load(text)

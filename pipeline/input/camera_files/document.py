@@ -56,8 +56,16 @@ def _fields(path: Path, text: str) -> dict[str, Any]:
     try:
         found = next(yaml.safe_load_all(text), None)  # ROS ends each message that it prints with ---
     except (yaml.YAMLError, RecursionError, ValueError):
+        _refuse_tabs(path, text)
         return {}
     return _without_truth(path, found) if isinstance(found, dict) else {}
+
+
+def _refuse_tabs(path: Path, text: str) -> None:
+    """HaustraError for a YAML file that cannot be read and has a line that begins with a tab."""
+    tabbed = (number for number, line in enumerate(text.splitlines(), 1) if line.lstrip(" ").startswith("\t"))
+    if path.suffix.lower() in (".yaml", ".yml") and (line := next(tabbed, None)) is not None:
+        raise HaustraError(f"{path} begins line {line} with a tab, where YAML has spaces alone")
 
 
 def _without_truth(path: Path, fields: dict[str, Any]) -> dict[str, Any]:
@@ -88,6 +96,7 @@ def _opencv_fields(path: Path, text: str) -> dict[str, Any]:
         root = storage.root()
         return {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118 - a FileNode is no dict
     except (cv2.error, SystemError, UnicodeDecodeError):
+        _refuse_tabs(path, text)
         return {}
     except ValueError as error:
         raise HaustraError(f"{path} has {error}") from error

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -162,6 +163,10 @@ def _of_one_camera(table: PoseTable, names: tuple[str, ...], film: FilmFrames) -
         return table, names
     folders = sorted({Path(name).parent.as_posix() for name in names})
     ours = [row for row, name in enumerate(names) if Path(name).parent.name in film.called]
+    if len(folders) == 1:
+        stems = Counter(Path(name).stem for name in names)
+        name, count = stems.most_common(1)[0]
+        raise HaustraError(f"{table.path} has {count} poses of the picture {name}: keep one of each picture")
     if not ours or len({Path(names[row]).stem for row in ours}) < len(ours):
         raise HaustraError(
             f"{table.path} has pictures of the same name in {' and '.join(folders[:SHOWN])}, and the film is called "

@@ -37,6 +37,14 @@ def test_where_there_is_a_probability_light_alone_says_nothing():
     assert doubts_of_submaps([replace(DARK, doubt=likely)], "") == ["is probably wrong"]
 
 
+def test_a_map_too_short_to_be_judged_is_told_once():
+    lit = replace(DARK, mapper="odometry", check=replace(DARK.check, frames=5, inconsistent_share=0.0))
+    (sentence,) = doubts_of_submaps([lit, lit], "")
+    assert sentence.startswith("submap 0 has 5 frames, and it takes 20 to judge")
+    assert doubts_of_submaps([replace(lit, mapper="poses")], "") == []
+    assert doubts_of_submaps([replace(lit, check=replace(lit.check, frames=20))], "") == []
+
+
 def test_a_film_of_which_little_is_posed_is_told():
     assert few_posed(17, 80, "use other frames") == ["only 17 of 80 usable frames have a pose; use other frames"]
     assert few_posed(40, 80, "use other frames") == []

@@ -25,6 +25,11 @@ def test_a_truth_with_a_pose_for_every_tenth_frame_is_enough() -> None:
     np.testing.assert_array_equal(mine, 10 * theirs)
 
 
+def test_fewer_poses_than_a_path_has_are_too_few() -> None:
+    with pytest.raises(HaustraError, match=r"truth.txt holds 2 poses; at least 3 are needed"):
+        paired(RUN, RUN[:2], TRUTH)
+
+
 def test_a_run_of_a_few_frames_of_a_long_truth_is_enough() -> None:
     assert len(paired(RUN[20:40], np.arange(3000) / 30, TRUTH)[0]) == 20
 
@@ -38,7 +43,7 @@ def test_a_run_of_a_few_frames_of_a_long_truth_is_enough() -> None:
         (1e9 * RUN, r"nanoseconds"),
         (np.round(1000 * RUN), r"milliseconds"),
         (RUN + 1.4, r"a clock \+1.4 s off"),
-        (RUN + 1.6e9, r"a clock \+1.6e\+09 s off"),
+        (RUN + 1.6e9, r"times go from 16\d{8}\.\d{3} to .* a clock \+1600000000\.000 s off .*: subtract it"),
         (RUN - 1.2, r"a clock -1.2 s off"),
     ],
 )

@@ -114,6 +114,13 @@ def test_a_model_of_two_cameras_with_pictures_of_the_same_names():
             poses_by_frame(table, replace(frames, called=("video",)))
 
 
+def test_a_picture_with_several_poses_is_named():
+    table = PoseTable("model", np.tile(np.eye(4), (COUNT, 1, 1)), names=("images/x.png",) * COUNT)
+    frames = FilmFrames(np.arange(COUNT), np.arange(COUNT) / 30, None, ("film",))
+    with pytest.raises(HaustraError, match=f"model has {COUNT} poses of the picture x: keep one of each picture"):
+        poses_by_frame(table, frames)
+
+
 def test_transforms_json(tmp_path):
     """x right, y up, z backwards: the second and third column are turned."""
     frames = []
