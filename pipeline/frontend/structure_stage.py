@@ -98,6 +98,8 @@ def camera_trust(guess: Camera, submap: Submap, poses_given: bool) -> str:
     text = f"{guessed}, and kept" if focal == start else f"{guessed}, {focal:.1f} px after adjustment"
     if not np.isfinite(sigma):
         return text + "; no trusted map determines it: shapes may be stretched along the view"
+    if sigma > focal:
+        return text + "; this film does not determine it at all: shapes may be stretched along the view"
     text += f" (sigma {sigma:.2g} px for 1 px of noise)"
     if not is_determined(focal, submap.camera_sigma):
         return text + "; too uncertain to trust: shapes may be stretched along the view"

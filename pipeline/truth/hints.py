@@ -19,6 +19,7 @@ from pipeline.mapping.readjustment import path_difference
 from reconstruction.evaluation.trajectory_metrics import associate, trajectory_errors
 
 Array = NDArray[np.float64]
+FEW_POSES = 10  # to which the seven numbers of a Sim(3) are fitted
 BAD_FIT = 0.05  # of the path's own spread: better ones are not asked about
 BETTER = 0.4  # of the residual as given: what another clock must bring it to
 MOST_SHIFTS = 400
@@ -39,13 +40,13 @@ class Timed:
 
 
 def path_hints(run: Timed, truth: Timed, estimated: Array, true: Array, scale: float, in_mm: bool) -> tuple[str, ...]:
-    """All sentences on why a path fits badly, none where it fits.
+    """All sentences on why a path fits badly, or says little by fitting well; none where it fits.
 
     run, truth: the two paths, each by its own times; estimated, true: their poses that are of one time (K,4,4) each.
     scale: from the run's path to the true one; in_mm: whether the run has millimetres of its own.
     """
     fit = pose_hint(estimated, true) or clock_hint(run, truth) or misfit_hint(estimated, true)
-    return tuple(hint for hint in (fit, unit_hint(truth, scale, in_mm)) if hint)
+    return tuple(hint for hint in (few_hint(len(true)), fit, unit_hint(truth, scale, in_mm)) if hint)
 
 
 def clock_hint(run: Timed, truth: Timed) -> str:
@@ -90,6 +91,16 @@ def pose_hint(estimated: Array, true: Array) -> str:
     return (
         f"the poses fit if the truth's {reading}: rotation median {turned:.2g} deg for {given[1]:.3g}, centres "
         f"{100 * off:.2g} % of their spread off for {100 * given[0]:.2g} %"
+    )
+
+
+def few_hint(count: int) -> str:
+    """A sentence where a path is compared at few poses, to which the Sim(3) is fitted, too; "" otherwise."""
+    if count >= FEW_POSES:
+        return ""
+    return (
+        f"the path is compared at {count} poses alone: the Sim(3) that is fitted to them takes much of the error away; "
+        "give a truth with more"
     )
 
 

@@ -212,6 +212,13 @@ def test_a_guess_that_nothing_asked_is_not_called_undetermined_by_motion(given):
     )
 
 
+def test_a_focal_length_that_a_film_leaves_open_is_said_without_a_number():
+    said = structure_stage.camera_trust(
+        CAMERA, SimpleNamespace(camera_params=CAMERA.params, camera_sigma=(4e4,)), False
+    )
+    assert said.endswith("and kept; this film does not determine it at all: shapes may be stretched along the view")
+
+
 def test_a_refined_focal_length_is_said_beside_its_guess():
     submap = SimpleNamespace(camera_params=(CAMERA.params[0] + 2, *CAMERA.params[1:]), camera_sigma=(0.5,))
     said = structure_stage.camera_trust(CAMERA, submap, False)

@@ -7,7 +7,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from haustra.core.se3 import inverse
-from pipeline.truth.hints import MIRROR, Y_UP, Timed, clock_hint, misfit_hint, pose_hint, surface_hint, unit_hint
+from pipeline.truth.hints import (
+    MIRROR,
+    Y_UP,
+    Timed,
+    clock_hint,
+    misfit_hint,
+    path_hints,
+    pose_hint,
+    surface_hint,
+    unit_hint,
+)
 
 RATE, FRAMES = 30, 300
 
@@ -132,6 +142,14 @@ def test_a_straight_path_that_is_right_is_not_called_another_film(seed: int) -> 
     run = true.copy()
     run[:, :3, 3] += rng.normal(0, 2.0, (len(true), 3))
     assert misfit_hint(run, true) == ""
+
+
+@pytest.mark.parametrize(("count", "few"), [(3, True), (9, True), (10, False)])
+def test_a_path_that_is_compared_at_few_poses_is_told(count: int, few: bool) -> None:
+    true = posed(0)[:count]
+    path = Timed(np.arange(count) / RATE, true[:, :3, 3])
+    hints = path_hints(path, path, true, true, 1.0, True)
+    assert [f"compared at {count} poses alone" in hint for hint in hints] == [True] * few
 
 
 @pytest.mark.parametrize("seed", range(4))
