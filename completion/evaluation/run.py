@@ -192,10 +192,8 @@ def _run(
                 f"{counted(len(left_out.without_points), 'frame')} of {folder}; try --sampler uniform"
             )
         if left_out.without_others:
-            raise CompletionError(
-                f"in {counted(len(left_out.without_others), 'frame')} of {folder} most pixels with true depth are "
-                f"points that are given, so that nothing is left to judge; give fewer (--points, {protocol.points} now)"
-            )
+            given = f"most pixels with true depth are points that are given: {protocol.points} (--points) are too many"
+            raise CompletionError(f"in {counted(len(left_out.without_others), 'frame')} of {folder} {given}")
         if left_out.without_truth:
             read = f"{counted(len(left_out.without_truth), 'frame')} of {folder} read as {layout}"
             raise CompletionError(f"{read}, and none has true depth: every pixel has the value that means none")

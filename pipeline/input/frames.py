@@ -258,9 +258,8 @@ def _too_few(verdicts: Counter[str], notes: list[str]) -> str:
         looked_at = counted(verdicts.total(), "frame")
         needed = f"the input has {looked_at} to look at; at least {MIN_FRAMES} are needed"
         return "; ".join([f"{needed}: give more of it (--start, --end, --stride), or another", *notes])
-    tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked"
-    which = "another part, or one where the camera moves" if verdicts["duplicate"] else "another part"
-    return "; ".join([f"{tracked}, at least {MIN_FRAMES} are needed ({_listed(verdicts)}); give {which}", *notes])
+    tracked = f"only {verdicts['used']} of {verdicts.total()} frames can be tracked, at least {MIN_FRAMES} are needed"
+    return "; ".join([f"{tracked} ({_listed(verdicts)})", "give a part where the camera moves and sees wall", *notes])
 
 
 def _listed(verdicts: Counter[str]) -> str:

@@ -91,7 +91,7 @@ def test_all_black_video(run, tmp_path):
 
 def test_static_video(run, tmp_path):
     write_video(tmp_path / "a.mp4", textured_frames(1) * 10)
-    assert_one_sentence(run("a.mp4"), "9 duplicate); give another part, or one where the camera moves")
+    assert_one_sentence(run("a.mp4"), "9 duplicate); give a part where the camera moves")
 
 
 def test_video_without_features(run, tmp_path):

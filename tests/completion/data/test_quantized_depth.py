@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from completion.data.evaluation_frame import EvaluationFrame
 from completion.data.quantized_depth import dequantize
+from completion.evaluation import evaluate
 from completion.evaluation.evaluate import Protocol, evaluate_frames, mean_errors
 from completion.evaluation.metrics import depth_errors
 from completion.evaluation.predictors import load_predictor
@@ -95,8 +96,9 @@ def test_depth_in_other_steps_is_refused(step: float) -> None:
         dequantize(stored(wall()), step)
 
 
-def test_evaluation_judges_against_the_smooth_depth_and_says_so() -> None:
+def test_evaluation_judges_against_the_smooth_depth_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """Interpolation of all the smooth depth's own points errs by nothing, and against the stored depth by stairs."""
+    monkeypatch.setattr(evaluate, "MOST_GIVEN", 1.0)
     true = wall()
     frame = EvaluationFrame("0", np.zeros((*true.shape, 3), np.uint8), stored(true), "mm")
     protocol = Protocol(points=true.size, depth_step=STEP)
@@ -113,7 +115,7 @@ def test_the_command_takes_the_step(tmp_path: Path) -> None:
     counts = (256 * np.round(wall() / STEP)).astype(np.uint16)
     cv2.imwrite(str(tmp_path / "Depth_0000.png"), counts)
     cv2.imwrite(str(tmp_path / "FrameBuffer_0000.png"), np.zeros((*counts.shape, 3), np.uint8))
-    words = ["evaluate", str(tmp_path), "--model", "nearest", "--points", str(counts.size), "-q"]
+    words = ["evaluate", str(tmp_path), "--model", "nearest", "--points", str(counts.size // 3), "-q"]
     stored_too, smooth = (CliRunner().invoke(app, [*words, *more]) for more in ([], ["--depth-step", "0.784314"]))
     assert stored_too.exit_code == smooth.exit_code == 0
     assert "truth without its steps of 0.784314" in smooth.stdout

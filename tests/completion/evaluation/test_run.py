@@ -166,7 +166,9 @@ def test_a_table_counts_the_points_that_it_is_of_and_the_pixels_that_it_leaves_o
 def test_points_that_are_given_back_are_no_score(tmp_path: Path) -> None:
     """All true pixels as points: an interpolation would have no error at all."""
     folder = generate(TINY, tmp_path / "phantom", threads=1)
-    with pytest.raises(CompletionError, match=r"most pixels with true depth are points .*--points, 4000 now"):
+    with pytest.raises(
+        CompletionError, match=r"most pixels with true depth are points .* 4000 \(--points\) are too many"
+    ):
         evaluate([folder], ["nearest"], [Protocol(points=4000)], Outputs(), None, SilentProgress())
 
 

@@ -60,29 +60,23 @@ def test_each_video_has_a_folder_of_its_own_that_it_keeps(videos, tmp_path):
     assert [job.folder.name for job in plan_jobs(videos[::-1], out)] == names[::-1]
 
 
-def test_only_whole_runs_with_the_same_settings_count_as_finished(videos, tmp_path):
+@pytest.mark.parametrize("lost", ["metrics.json", "mesh.ply"])
+def test_only_whole_runs_with_the_same_settings_count_as_finished(videos, tmp_path, lost):
     config, job = load_config(None), Job(videos[0], tmp_path / "run")
-    finish(*job_parts(job))
+    finish(job.video, job.folder)
     assert kept_outcome(job, config).area == 3.5
     assert kept_outcome(job, load_config(None, seed=3)) is None
     assert kept_outcome(Job(videos[0], tmp_path / "nowhere"), config) is None
-    (tmp_path / "run" / "metrics.json").rename(tmp_path / "metrics.json")
+    (tmp_path / "run" / lost).unlink()
     assert kept_outcome(job, config) is None
-    (tmp_path / "metrics.json").rename(tmp_path / "run" / "metrics.json")
-    (tmp_path / "run" / "mesh.ply").unlink()
-    assert kept_outcome(job, config) is None
-
-
-def job_parts(job):
-    return job.video, job.folder
 
 
 @pytest.mark.parametrize("metrics", ["[]", "{", '{"frames": {"posed": "many"}}', '{"submaps": [{"area": []}]}'])
 def test_damaged_figures_are_a_failed_row_and_the_run_is_gone_on_with(videos, tmp_path, metrics):
     job = Job(videos[0], tmp_path / "run")
-    finish(*job_parts(job))
+    finish(job.video, job.folder)
     (job.folder / "metrics.json").write_text(metrics)
-    outcome = finished_outcome(*job_parts(job), "done")
+    outcome = finished_outcome(job.video, job.folder, "done")
     assert outcome.status == "failed"
     assert "metrics.json cannot be read" in outcome.message
     assert kept_outcome(job, load_config(None)) is None
@@ -92,7 +86,7 @@ def test_a_run_is_kept_only_while_its_files_are_the_same(videos, tmp_path, monke
     camera = tmp_path / "camera.json"
     camera.write_text("one")
     config, job = load_config(None, camera=str(camera)), Job(videos[0], tmp_path / "run")
-    finish(*job_parts(job), config)
+    finish(job.video, job.folder, config)
     read = []
     monkeypatch.setattr(run_inputs, "digest", lambda path, digest=run_inputs.digest: read.append(path) or digest(path))
     assert kept_outcome(job, config) is not None
