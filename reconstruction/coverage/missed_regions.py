@@ -18,7 +18,7 @@ ONE_SIDED = 0.3  # length of the mean direction (unit circle) below which a regi
 # Log odds that at least half of a region is in no frame: OFFSET + SLOPE log(reach in lumen radii). What is merely not
 # fused lies in strips beside the measured surface; a pocket reaches far from it. Fitted by
 # `python -m benchmarks.coverage_regions` on regions over 5 mm; docs/lab/coverage.md shows how it does on other films.
-OFFSET, SLOPE = 6.11, 3.62
+OFFSET, SLOPE = 7.73, 4.48
 
 
 @dataclass(frozen=True)
