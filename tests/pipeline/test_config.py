@@ -124,23 +124,19 @@ def test_a_retired_setting_fixed_anew_differs_neither_by_its_old_default_nor_by_
     assert FIXED["fusion.truncation_voxels"] == TRUNCATION_VOXELS
 
 
-def test_a_section_that_stands_twice_is_refused_and_named(tmp_path):
-    path = tmp_path / "run.yaml"
-    path.write_text("frames: {start_s: 60}\nseed: 1\nframes: {stride: 2}\n")
-    with pytest.raises(HaustraError, match=r"'frames' stands twice, on lines 1 and 3; keep one"):
-        load_config(path)
-    path.write_text("frames: {stride: 1, stride: 5}\n")
-    with pytest.raises(HaustraError, match=r"'stride' stands twice, on lines 1 and 1"):
-        load_config(path)
-
-
-def test_a_text_that_is_no_yaml_is_named_by_its_line(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("frames: {start_s: 60}\nseed: 1\nframes: {stride: 2}\n", r"'frames' stands twice, on lines 1 and 3; keep one"),
+        ("frames: {stride: 1, stride: 5}\n", r"'stride' stands twice, on lines 1 and 1"),
+        ("seed: 1\nframes:\n\tstride: 2\n", r"settings.yaml: a tab, where YAML has spaces alone \(line 3\)"),
+        ("seed: 1\nframes: [1, 2\nfast: true\n", r"expected ',' or '\]', but got .* \(line 3\)"),
+    ],
+)
+def test_what_is_wrong_with_a_text_is_named_by_its_lines(tmp_path, text, told):
     path = tmp_path / "settings.yaml"
-    path.write_text("seed: 1\nframes:\n\tstride: 2\n")
-    with pytest.raises(HaustraError, match=r"settings.yaml: a tab, where YAML has spaces alone \(line 3\)"):
-        load_config(path)
-    path.write_text("seed: 1\nframes: [1, 2\nfast: true\n")
-    with pytest.raises(HaustraError, match=r"expected ',' or '\]', but got .* \(line 3\)"):
+    path.write_text(text)
+    with pytest.raises(HaustraError, match=told):
         load_config(path)
 
 
