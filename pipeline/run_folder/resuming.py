@@ -70,8 +70,7 @@ def _check_same(workspace: Workspace, source: Path, config: Config) -> None:
         if FROM_SURFACE[0] in workspace.record["stages"]:
             workspace.made_anew = different[0] if different else f"the {changed[0]} has changed"
             workspace.set_aside()
-        for stage in FROM_SURFACE:
-            workspace.record["stages"].pop(stage, None)
+        workspace.undo(FROM_SURFACE)
     if different or changed or workspace.record["source"]["path"] != str(source.resolve()):
         workspace.record |= {"source": record_inputs(source, config), "config": config.model_dump(mode="json")}
         workspace.save()

@@ -106,6 +106,11 @@ class Workspace:
         for path in (self.report, self.metrics, self.recording):
             path.unlink(missing_ok=True)
 
+    def undo(self, stages: tuple[str, ...]) -> None:
+        """They are no longer done; the record is not written yet."""
+        for stage in stages:
+            self.record["stages"].pop(stage, None)
+
     def forget_features(self) -> None:
         """Remove COLMAP's database."""
         for path in self.root.glob(f"{self.features.name}*"):

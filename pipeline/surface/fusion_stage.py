@@ -139,8 +139,7 @@ def forget_lost_surfaces(workspace: Workspace) -> None:
         load_surfaces(workspace)
     except HaustraError as error:
         workspace.made_anew = workspace.made_anew or str(error)
-        for stage in FROM_SURFACE:
-            workspace.record["stages"].pop(stage, None)
+        workspace.undo(FROM_SURFACE)
         workspace.save()
 
 
